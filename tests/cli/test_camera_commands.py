@@ -89,14 +89,16 @@ def test_labels_that_the_design_does_not_know_are_left_out(done, lab, run):
     assert f"{len(scenes[0]['guesses'])} exposures with labels that are none of" in said
 
 
-def test_a_design_without_a_distribution_is_not_tested(done, lab, acquire, tmp_path):
+def test_a_design_without_a_usual_misfit_is_not_tested(done, lab, acquire, tmp_path):
     """The file is the one that was shown, as far as the manifest knows."""
-    bare = replace(Design.load(lab / "design.safetensors"), distribution=None, scene_model=None)
+    bare = replace(Design.load(lab / "design.safetensors"), usual_misfit=None, scene_model=None)
     words = ["camera", "classify", tmp_path / "bare.safetensors", acquire(tmp_path / "bare", bare)]
     said = done(*words)
     assert "were not compared with those of the training" in said
     assert "use `deepfsi camera check`" in said
-    assert not {"consistency", "view"} & json.loads(done(*words, "--json")).keys()
+    found = json.loads(done(*words, "--json"))
+    assert "view" not in found
+    assert all(scene["unlike"] is None for scene in found["scenes"])
 
 
 TILTED = [[0.9, 0.04, 0.03], [-0.03, 0.92, 0.05], [0.01, 0.02, 1.0]]

@@ -91,7 +91,7 @@ def test_the_lines_for_matlab_read_classes(done, lab, classify, values, tmp_path
     monkeypatch.chdir(tmp_path)
     scenes = json.loads(done(*command.split()))["scenes"]
     assert len({tuple(scene) for scene in scenes}) == 1  # so that jsondecode makes one array
-    assert fields == ["class", "probability", "unsure"]
+    assert fields == ["class", "probability", "unlike"]
     assert all(scene[field] is not None for scene in scenes for field in fields)
     usual = json.loads(done(*classify(values), "--json"))["scenes"]
     assert [scene["class"] for scene in scenes] == [scene["class"] for scene in usual]
@@ -103,7 +103,7 @@ def test_read_noise_is_told_to_the_test_of_consistency(refuse, done, classify, v
     volts = (values + noise * np.random.default_rng(3).standard_normal(values.shape)) / gain
     words = classify(volts, "--gain", gain)
     said = json.loads(done(*words, "--read-noise", noise, "--json"))
-    assert said["consistency"]["whole"] > said["consistency"]["false_alarms"]
+    assert sum(scene["unlike"] for scene in said["scenes"]) <= 1
     assert "do not look like" in refuse(*words, "--read-noise", 0)
     bare = json.loads(done(*words, "--read-noise", 0, "--force", "--json"))
     assert [s["guesses"] for s in bare["scenes"]] == [s["guesses"] for s in said["scenes"]]

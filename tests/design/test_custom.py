@@ -149,8 +149,8 @@ def test_a_loop_of_ones_own_makes_a_design(digits, tmp_path):
     for each, brighter in ((design, 1), (design, 10), (again, 1)):
         answers = each.classify(counts * brighter, 1e5 * brighter)
         assert (answers.argmax(axis=1) == mine.argmax(axis=1)).mean() > 0.99
-    assert not again.consistency(counts[:40], 1e5).refused
-    assert again.consistency(counts[:40].flip(1), 1e5).refused
+    assert np.median(again.consistency(counts[:40], 1e5)) > 0.1
+    assert np.median(again.consistency(counts[:40].flip(1), 1e5)) < 0.005
 
 
 RAILS = torch.full((1, 3, 64), 0.2)

@@ -68,7 +68,7 @@ def use_design(path: Path) -> None:
         counts = np.ones(design.counts_shape)
         chances = design.classify(counts, 1e4)
         assert chances.shape == (len(design.classes),)
-        if design.distribution is not None:
+        if design.usual_misfit is not None:
             design.consistency(counts[None], 1e4)
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 import deepfsi
-from golden.facts import plain, refused_or
+from golden.facts import refused_or
 from shared.design_files import looks_at
 
 BUDGET = 1e4
@@ -104,7 +104,6 @@ def answered(design: Any, data: deepfsi.Dataset) -> dict[str, Any]:
     calls = {
         "classify": lambda: design.classify(counts, BUDGET),
         "estimate": lambda: design.estimate(counts, BUDGET),
-        "consistency": lambda: plain(design.consistency(counts, BUDGET)),
         "quantised": lambda: design.quantised(5).matrix,
     }
     return {name: refused_or(call) for name, call in calls.items()}

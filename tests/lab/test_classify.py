@@ -51,8 +51,8 @@ def test_counts_that_are_not_of_the_training_are_refused_unless_forced(lab):
     with pytest.raises(deepfsi.InputError, match=r"and `photons`; `force` classifies them all"):
         deepfsi.classify_run(lab / DESIGN, lab / RUN, photons=1e6)
     found = deepfsi.classify_run(lab / DESIGN, lab / RUN, photons=1e6, force=True)
-    assert found.consistency.refused
-    assert "do not look like" in found.remarks[0]
+    assert all(scene.unlike for scene in found.scenes)
+    assert any("do not look like" in str(line) for line in found.summary())
     with pytest.raises(deepfsi.InputError, match=r"photon budget 0 is not allowed"):
         deepfsi.classify_run(lab / DESIGN, lab / RUN, photons=0)
 

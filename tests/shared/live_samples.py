@@ -98,6 +98,6 @@ def check_accuracy(decided: list[Decision], design, digits, photons: float) -> f
     spread = np.sqrt(2 * wanted.accuracy * (1 - wanted.accuracy) / count)
     assert abs(right - wanted.accuracy) < 5 * spread
     faults = [fault.kind for each in last for fault in each.faults]
-    assert set(faults) <= {"unsure"}
-    assert len(faults) <= 11  # 0.04 of 100 at most, at a chance of 1 in 1000
+    assert set(faults) <= {"unlike"}
+    assert len(faults) <= 5  # 0.01 of 100 at most, at a chance of 1 in 1000
     return wanted.counts

@@ -36,6 +36,8 @@ from deepfsi.base.registry import installed
 from deepfsi.camera.camera import Camera
 from deepfsi.datasets.dataset import Dataset
 from deepfsi.designfile.design_file import MASKS_ARE_MADE, AdaptiveHeader
+from deepfsi.designfile.misfit import FEWEST_LEFT_OUT, MISFIT_BUDGETS, UsualMisfit
+from deepfsi.designfile.view_test import SceneReadouts
 from deepfsi.exposure.kind import Answer, CountedLight, ExposureKind, Exposures, Network, Use
 from deepfsi.jobs.exposures import AdaptiveMasks
 from deepfsi.jobs.job import Job
@@ -60,62 +62,11 @@ def prior_of(data: Dataset, settings: AdaptiveMasks) -> ScenePrior:
     )
 
 
-MISFIT_BUDGETS = (0.1, 1.0, 10.0)
-"""Budgets at which the misfit is measured, as multiples of the training's."""
-
-SMALLEST_MISFIT = 1e-6
-"""Misfit below which it is taken for this."""
-
 SHARING_SCENES = 1024
 """Training scenes by which the threshold of a mean light is found, at most.
 
 The light of an exposure varies by some 0.6 of its mean, so that the mean is known to 4 % (95 %).
 """
-
-
-@dataclass(frozen=True, eq=False)
-class UsualMisfit:
-    """Misfit of training scenes after each look, at B budgets."""
-
-    budgets: np.ndarray  # (B,)
-    logarithms: np.ndarray  # (2, B, K): mean and standard deviation of its logarithm
-
-    @classmethod
-    def of(cls, budgets: np.ndarray, misfits: Tensor) -> "UsualMisfit":
-        """Usual misfit of looks (B, K, S) at scenes: the logarithm of their sum is near normal."""
-        logs = misfits.cumsum(dim=1).clamp(min=SMALLEST_MISFIT).log()
-        return cls(budgets, torch.stack([logs.mean(dim=-1), logs.std(dim=-1)]).numpy())
-
-    @property
-    def arrays(self) -> dict[str, np.ndarray]:
-        """Arrays as a design file takes them."""
-        return {"misfit_budgets": self.budgets, "misfit_logarithms": self.logarithms}
-
-    @classmethod
-    def restored(cls, arrays: Mapping[str, np.ndarray], looks: int) -> "UsualMisfit | None":
-        """Misfit from a file, None if it has none, or `ValueError` if it is damaged."""
-        if "misfit_budgets" not in arrays:
-            return None
-        misfit = cls(arrays["misfit_budgets"], arrays["misfit_logarithms"])
-        budgets = len(MISFIT_BUDGETS)
-        shapes = misfit.budgets.shape, misfit.logarithms.shape
-        numbers = np.append(misfit.budgets, misfit.logarithms)
-        fits = shapes == ((budgets,), (2, budgets, looks)) and numbers.dtype == np.float64
-        rises = fits and np.diff(misfit.budgets, prepend=0).min() > 0
-        if not (rises and misfit.logarithms[1].min() > 0 and np.isfinite(numbers).all()):
-            raise ValueError("the misfit is of another design")
-        return misfit
-
-    def p_value(self, total: float, look: int, photons: float) -> float:
-        """Share of sound exposures whose misfit after a look, from 0, exceeds this total."""
-        from scipy.special import ndtr
-
-        # beyond the measured budgets the misfit of the nearest one holds
-        level = np.log(np.clip(photons, self.budgets[0], self.budgets[-1]))
-        mean, deviation = (
-            np.interp(level, np.log(self.budgets), moment[:, look]) for moment in self.logarithms
-        )
-        return float(ndtr((mean - np.log(max(total, SMALLEST_MISFIT))) / deviation))
 
 
 @torch.no_grad()
@@ -211,13 +162,18 @@ class AdaptiveExposure(ExposureKind):
         """The kind of a design file, or an error where its arrays do not fit the header."""
         with as_input_error("the design's camera", "train it again"):
             camera = Camera.restored(dict(header.info["job"]["camera"]))
+        misfit = {
+            name.removeprefix("misfit_"): array
+            for name, array in arrays.items()
+            if name.startswith("misfit_")
+        }
         return cls(
             prior=ScenePrior.restored(arrays),
             settings=header.settings,
             image_shape=header.image_shape,
             shares=torch.from_numpy(arrays["shares"]),
             camera=camera,
-            usual_misfit=UsualMisfit.restored(arrays, header.settings.looks),
+            usual_misfit=UsualMisfit.restored(misfit, header.settings.looks) if misfit else None,
             dictionary=MaskDictionary.restored(arrays),
         )
 
@@ -236,7 +192,9 @@ class AdaptiveExposure(ExposureKind):
         arrays = self.prior.arrays | {"shares": self.shares.numpy()}
         if self.dictionary is not None:
             arrays |= self.dictionary.arrays
-        return arrays if self.usual_misfit is None else arrays | self.usual_misfit.arrays
+        if self.usual_misfit is not None:
+            arrays |= {f"misfit_{name}": array for name, array in vars(self.usual_misfit).items()}
+        return arrays
 
     @property
     def count(self) -> int:
@@ -280,41 +238,73 @@ class AdaptiveExposure(ExposureKind):
             counted = 0.0
             used = 0.0
             for x in scenes.split(self.prior.exposed_at_once):
-                state = self.posterior(len(x), optics)
-                of_batch, counts, shares = self._run(state, x, generator)
-                probabilities.append(of_batch)
-                counted += float(counts.sum())
-                used += shares
+                run = self._run(self.posterior(len(x), optics), x, generator)
+                probabilities.append(run.probabilities)
+                counted += float(run.counts.sum())
+                used += sum(
+                    share * int((run.looks > look).sum())
+                    for look, share in enumerate(self.settings.shares)
+                )
             light = used * photons if self.settings.until < 1 else None
             return answer_of(torch.cat(probabilities)), CountedLight(counted, counted, light)
 
         return expose
 
+    def tested(
+        self, scenes: Tensor, photons: float, camera: Camera, generator: torch.Generator
+    ) -> tuple[Tensor, np.ndarray | None]:
+        """Probabilities (n, C) of exposures of scenes (n, N), and p-values (n,) of their counts.
+
+        Each exposure has an all-ON frame as long as all its looks. There are no p-values without
+        the usual misfit, or a model of the scenes.
+        """
+        optics = self.optics_at(photons, camera)
+        runs = [
+            self._run(self.posterior(len(x), optics), x, generator, misfit=True)
+            for x in scenes.split(self.prior.exposed_at_once)
+        ]
+        probabilities = torch.cat([run.probabilities for run in runs])
+        model = self.prior.model
+        if self.usual_misfit is None or model is None:
+            return probabilities, None
+        gain = photons / self.summed_reflectance
+        dark = float(optics.dark_sum)
+        counts = torch.poisson(scenes.double().sum(dim=1) * gain + dark, generator) - dark
+        rows = SceneReadouts.all_on(counts.numpy(), gain, dark, scenes.shape[1])
+        misfits = torch.cat([run.misfits for run in runs]).numpy()
+        looks = torch.cat([run.looks for run in runs]).numpy()
+        return probabilities, self.usual_misfit.p_values(misfits, looks, photons, model.light(rows))
+
     def _run(
-        self, state: AdaptivePosterior, x: Tensor, generator: torch.Generator
-    ) -> tuple[Tensor, Tensor, float]:
-        """Expose scenes (b, N): probabilities (b, C), counts (K,), and light in budgets."""
+        self, state: AdaptivePosterior, x: Tensor, generator: torch.Generator, misfit: bool = False
+    ) -> "_Run":
+        """Expose scenes (b, N); misfits stay 0 unless they are asked for."""
         settings = self.settings
-        probabilities = torch.empty(len(x), state.prior.classes)
-        counts = torch.zeros(settings.looks, dtype=torch.double)
-        used = 0.0
+        run = _Run(
+            probabilities=torch.empty(len(x), state.prior.classes),
+            counts=torch.zeros(settings.looks, dtype=torch.double),
+            looks=torch.zeros(len(x), dtype=torch.long),
+            misfits=torch.zeros(len(x), dtype=torch.double),
+        )
         running = torch.arange(len(x))
         for index, share in enumerate(settings.shares):
             look = state.look_at(x[running], share, generator)
+            if misfit:
+                run.misfits[running] += state.misfit(look.masks, look.counts, share).double()
             state.update(look.masks, look.counts, share)
-            counts[index] = look.light.double().sum()
-            used += share * len(running)
+            run.counts[index] = look.light.double().sum()
+            run.looks[running] += 1
             last = index == settings.looks - 1
             # with `until` = 1 none ends early: probabilities are needed once, at the end
             if settings.until < 1 or last:
-                probabilities[running] = state.probabilities
+                run.probabilities[running] = state.probabilities
                 going = confidence_of(state.probabilities) <= settings.until
                 if not last and not bool(going.all()):
                     state = state.rows_of(going)
                     running = running[going]
             if not len(running):
                 break
-        return probabilities, counts, used
+        return run
 
     def look_by_look(
         self, scene: Tensor, photons: float, generator: torch.Generator
@@ -323,6 +313,15 @@ class AdaptiveExposure(ExposureKind):
         state = self.posterior(1, self.optics_at(photons))
         for look in _looks(state, scene[None], self.settings.shares, generator):
             yield look.masks, state.scene, state.probabilities
+
+
+class _Run(NamedTuple):
+    """Exposures of b scenes."""
+
+    probabilities: Tensor  # (b, C)
+    counts: Tensor  # (K,), of all scenes at each look
+    looks: Tensor  # (b,), until the answer
+    misfits: Tensor  # (b,)
 
 
 def answer_of(probabilities: Tensor) -> Answer:
@@ -467,8 +466,10 @@ class AdaptiveTraining:
         odds, counted, misfits = measure(exposure, optics, left_out, generator)
         at_budget = counted[MISFIT_BUDGETS.index(1.0)].mean(dim=1)
         shares = (at_budget / job.photons).float()
-        few = len(left_out.scenes) < 50  # too few for a standard deviation
-        misfit = None if few else UsualMisfit.of(budgets, misfits)
+        misfit = None
+        if len(left_out.scenes) >= FEWEST_LEFT_OUT:
+            light = self.data.x_train.sum(axis=1, dtype=float)
+            misfit = UsualMisfit.of(budgets, misfits.cumsum(dim=1).numpy(), light)
         answers = LeftOutAnswers(budgets, odds, left_out.labels)
         return replace(exposure, shares=shares, usual_misfit=misfit), answers
 

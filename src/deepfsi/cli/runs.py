@@ -67,7 +67,7 @@ class CountRun(Command):
 
 
 class ClassifyRun(Command):
-    """Counts unlike those that the design was trained for are refused; single scenes are unsure.
+    """Runs whose counts are unlike the training's are refused; single scenes are named.
 
     A table has a value for each frame, in the order of the patterns.
 

@@ -47,15 +47,13 @@ FaultKind = Literal[
     "gain",  # detectors share the light as in no scenes of the training
     "budget",  # less light than the design was trained for
     "repeated",  # counts are those of another exposure, bit for bit
-    "unsure",  # live: the counts of a scene do not look like those of the training
-    "unlike",  # live: nor do those of several scenes before
+    "unlike",  # the counts of a scene do not look like those of the training
     "view",  # live: counts of all scenes are as if the picture were mirrored, blurred or the like
 ]
 """Kinds of faults; a new check of the light may bring its own."""
 
 SPOILING = (
-    "dark", "brighter", "unsteady", "flicker", "budget", "gain", "repeated", "unsure", "unlike",
-    "view",
+    "dark", "brighter", "unsteady", "flicker", "budget", "gain", "repeated", "unlike", "view",
 )  # fmt: skip
 """Kinds of faults that leave a scene's counts without a meaning."""
 

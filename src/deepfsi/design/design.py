@@ -19,7 +19,7 @@ from deepfsi.camera.names import NoiseName
 from deepfsi.design.file import fields_of, file_of
 from deepfsi.design.networks import Given, OwnClassifier, with_code
 from deepfsi.designfile.design_file import DesignFile, Temperatures, find_design
-from deepfsi.designfile.distribution import ConsistencyResult, ReadoutDistribution
+from deepfsi.designfile.misfit import UsualMisfit
 from deepfsi.designfile.provenance import trained_camera
 from deepfsi.designfile.view_test import SceneModel
 from deepfsi.exposure.kind import (
@@ -54,9 +54,9 @@ class Design:
         adaptive masks, whose posterior answers.
     info : dict
         Provenance in JSON types: training, data and versions.
-    distribution, scene_model : ReadoutDistribution and SceneModel, optional
-        Models of the training's readouts and scenes, against which `consistency` and the view of a
-        camera's runs are tested.
+    usual_misfit, scene_model : UsualMisfit and SceneModel, optional
+        Misfit and model of the training's scenes, against which `consistency` and the view of a
+        camera's runs are tested; those of adaptive masks are in `exposure`.
     temperatures : Temperatures, optional
         Divisors of the logits at each budget, which calibrate the probabilities.
     values : Values, optional
@@ -78,7 +78,7 @@ class Design:
     exposure: ExposureKind
     classifier: nn.Module | None = None
     info: dict[str, Any] = field(default_factory=dict)
-    distribution: ReadoutDistribution | None = None
+    usual_misfit: UsualMisfit | None = None
     scene_model: SceneModel | None = None
     temperatures: Temperatures | None = None
     values: Values | None = None
@@ -162,7 +162,9 @@ class Design:
         return self.exposure.exposures(scenes, camera, self.answer)
 
     @library_defaults(grad=False)
-    def expose(self, x: Any, photons: float, seed: int = 0) -> np.ndarray:
+    def expose(
+        self, x: Any, photons: float, seed: int = 0, camera: Camera | None = None
+    ) -> np.ndarray:
         """Counts (..., [P,] [2,] m [, D]) of a simulated exposure of each scene, for `classify`.
 
         Raises `InputError` for adaptive masks, which `deepfsi.predict` exposes.
@@ -174,18 +176,19 @@ class Design:
         photons : float
             Budget Φ.
         seed : int
-            Seed of the noise of the design's camera.
+            Seed of the noise.
+        camera : Camera, optional
+            Camera whose noise it is. Default: the design's.
         """
         exposure = self.mask_exposure
         scenes, lead = self._scenes(x)
         budget = check_budget(photons)
-        camera = self.camera
-        if camera.noise_name not in get_args(NoiseName):
+        if camera is None and self.camera.noise_name not in get_args(NoiseName):
             raise InputError(
-                f"this design is for {camera.noise_name} noise, code of its maker's that a file "
-                "does not run: use deepfsi.predict or evaluate with `noise`"
+                f"this design is for {self.camera.noise_name} noise, code of its maker's that a "
+                "file does not run: use deepfsi.predict or evaluate with `noise`"
             )
-        scanner = exposure.scanner(noise_of(camera))
+        scanner = exposure.scanner(noise_of(camera or self.camera))
         generator = torch.Generator(exposure.device).manual_seed(seed)
         batches = []
         for batch in scenes.split(EXPOSED_AT_ONCE):
@@ -274,32 +277,40 @@ class Design:
         return exposure.features(read.to(device), budget), budget
 
     @library_defaults()
-    def consistency(self, counts: Any, photons: Any, background: Any = 0.0) -> ConsistencyResult:
-        """Test whether the counts of exposures, each of another scene, look like the training's.
+    def consistency(self, counts: Any, photons: float, background: Any = 0.0) -> np.ndarray:
+        """p-values (...) of exposures: small where counts do not look like the training's.
 
-        Sum exposures of a scene first: their counts, photons and background. Raises `InputError`
-        if the design has no `distribution`: it had fewer than 100 training scenes, or 50 of a
-        class.
+        1 sound scene in 200 has less than 0.005.
 
         Parameters
         ----------
-        counts, photons
-            As for `classify`.
-        background : float or array, broadcastable to counts
+        counts : array
+            As for `classify`, less the background.
+        photons : float
+            Budget Φ of each exposure.
+        background : float or array, broadcastable to the counts of an exposure
             Counts that were subtracted from each readout. Default: 0.
+
+        Raises
+        ------
+        InputError
+            If shapes do not match, or the design has no usual misfit: it had fewer than 20 training
+            scenes of a class, or counts other than photons of steady light.
         """
         self.exposure.check("comparison")
-        if self.distribution is None:
+        if self.usual_misfit is None or self.scene_model is None:
             raise InputError(
-                "no distribution is held: it takes photons that are counted, 100 scenes, 50 a class"
+                "no usual misfit is held: it takes photons of steady light that are counted, and "
+                "20 training scenes of each class"
             )
-        read, budget = _check_readouts(counts, photons, self.counts_shape)
-        if not read.numel():
-            raise InputError("there are no exposures to test: give one or more")
-        dark = np.broadcast_to(np.asarray(background, dtype=float), read.shape)
-        readouts = self.masks * self.exposure.detection.count
-        shape = (*budget.shape[:-1], self.rails.count, readouts)
-        return self.distribution.test(read.reshape(shape), budget[..., 0], dark.reshape(shape))
+        read, _ = _check_readouts(counts, check_budget(photons), self.counts_shape)
+        exposures = read.shape[: -len(self.counts_shape)]
+        noise = np.broadcast_to(np.asarray(background, dtype=float), self.counts_shape)
+        flat = read.double().numpy().reshape(-1, *self.counts_shape)
+        rows = self.mask_exposure.scene_readouts(flat, photons, noise)
+        misfit = self.scene_model.misfit(rows)
+        p_values = self.usual_misfit.p_values(misfit, 1, photons, self.scene_model.light(rows))
+        return p_values.reshape(exposures)
 
     def readouts(self, rails: np.ndarray) -> np.ndarray:
         """Counts (..., rails, m [, D]) of every rail, in the shape that `classify` takes."""
@@ -311,14 +322,14 @@ class Design:
         self.exposure = self.exposure.to(device)
         self.classifier = self.classifier and self.classifier.to(device)
         self.values = self.values and self.values.to(device)
-        return self  # the distribution holds NumPy arrays, and stays
+        return self  # the models hold NumPy arrays, and stay
 
     def quantised(self, levels: int) -> "Design":
         """The design as a device with these grey levels shows it, dark included (paper: 769).
 
         Classifier and statistics stay. Train with the camera's `levels` to learn for the device.
         """
-        return replace(self, exposure=self.exposure.quantised(levels), distribution=None)
+        return replace(self, exposure=self.exposure.quantised(levels), usual_misfit=None)
 
     def as_shown(self, rails: np.ndarray, image_shape: tuple[int, ...], dimmed: float) -> "Design":
         """The design as a device's patterns realise it, with rails (2 or 1, m, N) and cells.
@@ -343,7 +354,6 @@ class Design:
         return replace(
             self,
             exposure=self.mask_exposure.as_shown(realised, dimmed),
-            distribution=self.distribution and self.distribution.dimmed(dimmed),
             temperatures=self.temperatures and self.temperatures.scaled(1 / dimmed),
         )
 

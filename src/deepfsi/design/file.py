@@ -21,7 +21,7 @@ from deepfsi.designfile.design_file import (
     Temperatures,
     damaged_design,
 )
-from deepfsi.designfile.distribution import ReadoutDistribution
+from deepfsi.designfile.misfit import UsualMisfit
 from deepfsi.designfile.provenance import SCENE_HASHES, trained_camera
 from deepfsi.designfile.view_test import SceneModel
 from deepfsi.exposure.kind import Clicks
@@ -74,7 +74,7 @@ def file_of(design: "Design") -> DesignFile:
             for name, tensor in state.items()
         }
         models = {
-            "distribution": design.distribution,
+            "misfit": design.usual_misfit,
             "scenes": design.scene_model,
             "temperatures": design.temperatures,
         }
@@ -136,10 +136,8 @@ def _mask_fields(file: DesignFile, header: MaskHeader) -> dict[str, Any]:
     }
     if header.values:
         fields["values"] = Values.restored(header.values, _tensors(file, "values"))
-    arrays = file.arrays_of("distribution")
-    if arrays and "fluctuation" not in arrays:  # earlier versions tested counts of unsteady light
-        readouts = rails.count, rails.masks * detection.count
-        fields["distribution"] = ReadoutDistribution.restored(arrays, readouts)
+    if arrays := file.arrays_of("misfit"):
+        fields["usual_misfit"] = UsualMisfit.restored(arrays, 1)
     if arrays := file.arrays_of("scenes"):
         sizes = prod(header.image_shape), len(header.classes) or 1
         fields["scene_model"] = SceneModel.restored(arrays, *sizes)

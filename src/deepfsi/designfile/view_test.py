@@ -15,14 +15,19 @@ the counts as well, the fault is named and the run is not refused.
 """
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from math import log
 
 import numpy as np
 
-FALSE_ALARM = 0.005
-"""Chance, at most, that a sound run is refused, whatever its length."""
+from deepfsi.designfile.misfit import FALSE_ALARM, FEWEST_LEFT_OUT, SceneLight
+
+BRIGHTNESS_FREE = 0.3
+"""Standard deviation of the brightness of scenes, relative to the mean, that no test minds."""
+
+EXPOSURES_AT_ONCE = 256
+"""Exposures whose distances from all classes are in memory at a time."""
 
 MOST_AXES = 40
 """Principal axes of the scenes about their classes' means that are kept."""
@@ -100,6 +105,47 @@ def _rows(image_shape: tuple[int, ...]) -> tuple[int, int]:
 
 
 @dataclass(frozen=True)
+class SceneReadouts:
+    """Counts of a scene, or of scenes at one budget, readout by readout."""
+
+    masks: np.ndarray  # (k, N), counts that each pixel of reflectance 1 gives to each readout
+    counts: np.ndarray  # (..., k), photons, less the background
+    noise: np.ndarray  # (k,), variance beyond that of the scene's own photons
+    inputs: np.ndarray  # (k,), detector that counted each
+
+    @classmethod
+    def of(
+        cls,
+        masks: np.ndarray,
+        counts: np.ndarray,
+        noise: np.ndarray | float,
+        cells: np.ndarray | None,
+        arms: np.ndarray,
+    ) -> "SceneReadouts":
+        """Readouts by detectors that see these cells (N,), of each of `masks` (..., N).
+
+        Counts are (s, ..., [D]) of scenes, their noise is of one; `arms` (...) count the masks.
+        """
+        cells = np.zeros(masks.shape[-1], int) if cells is None else cells
+        detectors = np.arange(cells.max() + 1)
+        # (D, N): cells of each detector; one detector sees all
+        seen = masks[..., None, :] * np.equal.outer(detectors, cells)
+        inputs = np.broadcast_to(arms[..., None] * len(detectors) + detectors, seen.shape[:-1])
+        return cls(
+            masks=seen.reshape(-1, seen.shape[-1]),
+            counts=counts.reshape(len(counts), -1),
+            noise=np.broadcast_to(np.ravel(noise), inputs.size),
+            inputs=inputs.ravel(),
+        )
+
+    @classmethod
+    def all_on(cls, counts: np.ndarray, gain: float, noise: float, pixels: int) -> "SceneReadouts":
+        """Counts (s,) of all detectors in an all-ON frame; `gain` is those of a pixel."""
+        one = np.zeros(1, int)
+        return cls(np.full((1, pixels), gain), counts[:, None], np.full(1, noise), one)
+
+
+@dataclass(frozen=True)
 class SceneModel:
     """Scenes of the training: the mean of each class, and how scenes lie about it."""
 
@@ -110,19 +156,17 @@ class SceneModel:
 
     @staticmethod
     def are_enough(sizes: np.ndarray) -> bool:
-        """Whether runs can be tested with these numbers (C,) of training scenes of each class."""
-        return bool(sizes.sum() >= 100 and sizes.min() >= 20)
+        """Whether counts can be tested with these numbers (C,) of training scenes of each class."""
+        return bool(sizes.min() >= 20 and sizes.sum() >= FEWEST_LEFT_OUT)
 
     @classmethod
-    def fit(cls, x: np.ndarray, labels: np.ndarray, classes: int) -> "SceneModel | None":
-        """Model of scenes (n, N) of classes (n,), or None of too few scenes."""
-        sizes = np.bincount(labels, minlength=classes)
-        if not cls.are_enough(sizes):
-            return None
-        means = np.stack([x[labels == k].mean(axis=0, dtype=float) for k in range(classes)])
+    def fit(cls, x: np.ndarray, labels: np.ndarray) -> "SceneModel":
+        """Model of scenes (n, N) of classes (n,), each of which has scenes."""
+        sizes = np.bincount(labels)
+        means = np.stack([x[labels == k].mean(axis=0, dtype=float) for k in range(len(sizes))])
         residuals = np.asarray(x, float) - means[labels]
         axes = min(MOST_AXES, len(x) // 5)  # five scenes or more for each axis
-        return cls.of(means, residuals / np.sqrt(len(x) - classes), sizes / len(x), axes)
+        return cls.of(means, residuals / np.sqrt(len(x) - len(sizes)), sizes / len(x), axes)
 
     @classmethod
     def of(
@@ -146,6 +190,41 @@ class SceneModel:
             shares=shares.astype(np.float16),
         )
 
+    @property
+    def mean(self) -> np.ndarray:
+        """Mean scene (N,)."""
+        shares = np.asarray(self.shares, float)
+        return shares / shares.sum() @ np.asarray(self.means, float)
+
+    def misfit(self, rows: SceneReadouts) -> np.ndarray:
+        """Squared distance (s,) of counts from those of the nearest class, at any brightness."""
+        scenes = [self.means, self.axes, BRIGHTNESS_FREE * self.mean[None]]
+        views = np.concatenate(scenes, dtype=float)[None]
+        known = views, len(self.means), self.mean, np.asarray(self.rest, float)
+        # Counts of readouts that hardly see light are far from normal
+        rows = replace(rows, noise=rows.noise + 0.1 * (rows.masks @ self.mean).mean())
+        distances = []
+        for start in range(0, len(rows.counts), EXPOSURES_AT_ONCE):
+            block = replace(rows, counts=rows.counts[start : start + EXPOSURES_AT_ONCE])
+            precision, projections, squares = _distances(*known, block)
+            solved = np.linalg.solve(np.linalg.cholesky(precision), projections.swapaxes(1, 2))
+            distances.append((squares - (solved**2).sum(axis=1)).min(axis=1))
+        return np.concatenate(distances)
+
+    def light(self, rows: SceneReadouts) -> SceneLight:
+        """Light of scenes in all readouts, over that of the mean scene."""
+        mask = rows.masks.sum(axis=0)
+        expected = mask @ self.mean
+        between = (np.asarray(self.means, float) - self.mean) @ mask
+        variance = np.asarray(self.shares, float) @ between**2
+        variance += ((np.asarray(self.axes, float) @ mask) ** 2).sum() + mask**2 @ self.rest
+        noise = np.sqrt(expected + rows.noise.sum())
+        return SceneLight(
+            share=rows.counts.sum(axis=1) / expected,
+            spread=float(np.sqrt(variance) / expected),
+            noise=float(noise / expected),
+        )
+
     @classmethod
     def restored(cls, arrays: Mapping[str, np.ndarray], pixels: int, classes: int) -> "SceneModel":
         """Model from a file, or `ValueError` if its arrays do not fit these scenes."""
@@ -156,16 +235,6 @@ class SceneModel:
         if not fits or least < 0 or not arrays["means"].any():
             raise ValueError("the model of the scenes is not of these masks")
         return cls(**arrays)
-
-
-@dataclass(frozen=True)
-class SceneReadouts:
-    """Counts of a scene, readout by readout."""
-
-    masks: np.ndarray  # (k, N), counts that each pixel of reflectance 1 gives to each readout
-    counts: np.ndarray  # (k,), photons, less the background
-    noise: np.ndarray  # (k,), variance beyond that of the scene's own photons
-    inputs: np.ndarray  # (k,), detector that counted each
 
 
 @dataclass(frozen=True)
@@ -264,7 +333,7 @@ class ViewTest:
         shares = np.asarray(model.shares, float)
         self._shares = shares / shares.sum()
         self._rest = np.asarray(model.rest, float)
-        self._mean = self._shares @ means
+        self._mean = model.mean
         self._classes = len(means)
         scenes = np.concatenate([means, np.asarray(model.axes, float)])
         views = [scenes]
@@ -277,8 +346,8 @@ class ViewTest:
             image[: self._classes] += fault.stray * self._mean.mean()
             # The all-ON frames that measure the light see the stray light, too
             views.append(image / (1 + fault.stray))
-        # Brightness is free by 30 % in every view, so that it is evidence for none
-        free = [0.3 * self._shares @ view[None, : self._classes] for view in views]
+        # Brightness is evidence for no view
+        free = [BRIGHTNESS_FREE * self._shares @ view[None, : self._classes] for view in views]
         self._views = np.stack([np.concatenate(pair) for pair in zip(views, free, strict=True)])
         self._faults = tuple(fault.words for fault in faults)
         self._sound = 1 + len(harmless)  # views that pass; the first is the training's
@@ -296,23 +365,11 @@ class ViewTest:
         """Take in the counts of another scene."""
         from scipy.special import logsumexp
 
-        expected = rows.masks @ self._mean
-        noise = expected.clip(min=0) + rows.noise + rows.masks**2 @ self._rest
-        lit = expected > 0
-        if not lit.any():
+        if not (rows.masks @ self._mean > 0).any():
             return
-        scale = 1 / np.sqrt(np.maximum(noise[lit], 1e-12))
-        light = self._views @ rows.masks[lit].T * scale  # (V, C + axes, k)
-        residuals = rows.counts[lit] * scale - light[:, : self._classes]
-        gains = rows.inputs[lit, None] == np.unique(rows.inputs)
-        # the efficiency of each detector is free by 3 %
-        free = (0.03 * (expected[lit] * scale)[:, None] * gains).T
-        axes = np.concatenate(
-            [light[:, self._classes :], np.broadcast_to(free, (len(light), *free.shape))], axis=1
+        precision, projections, squares = _distances(
+            self._views, self._classes, self._mean, self._rest, rows
         )
-        precision = np.eye(axes.shape[1]) + axes @ axes.swapaxes(1, 2)
-        projections = residuals @ axes.swapaxes(1, 2)
-        squares = (residuals**2).sum(axis=2)
         logs = _log_densities(precision, projections, squares)
         class_counts = self._class_counts
         joint = logs + np.log(class_counts / class_counts.sum(axis=1, keepdims=True))
@@ -350,6 +407,30 @@ class ViewTest:
         precision, projections, squares = self._sums
         logs = _log_densities(precision + np.eye(len(precision)), projections, squares)
         return float(logsumexp(logs + np.log(self._shares)))
+
+
+def _distances(
+    views: np.ndarray, classes: int, mean: np.ndarray, rest: np.ndarray, rows: SceneReadouts
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Arguments of `_log_densities` for views (V, C + d, N) of C class means and d axes.
+
+    The noise is that of the mean scene (N,). Either one view or one scene is given.
+    """
+    expected = rows.masks @ mean
+    noise = expected.clip(min=0) + rows.noise + rows.masks**2 @ rest
+    lit = expected > 0
+    scale = 1 / np.sqrt(np.maximum(noise[lit], 1e-12))
+    light = views @ rows.masks[lit].T * scale  # (V, C + axes, k)
+    residuals = rows.counts[:, None, lit] * scale - light[:, :classes]
+    gains = rows.inputs[lit, None] == np.unique(rows.inputs)
+    # the efficiency of each detector is free by 3 %
+    free = (0.03 * (expected[lit] * scale)[:, None] * gains).T
+    axes = np.concatenate(
+        [light[:, classes:], np.broadcast_to(free, (len(light), *free.shape))], axis=1
+    )
+    precision = np.eye(axes.shape[1]) + axes @ axes.swapaxes(1, 2)
+    projections = residuals @ axes.swapaxes(1, 2)
+    return precision, projections, (residuals**2).sum(axis=2)
 
 
 def _log_densities(

@@ -5,9 +5,6 @@ hundredth of its budget each photon is a hundred times as large among its inputs
 divides its logits, which keeps the order of classes. It is fitted by the log loss of scenes with
 known classes and exact counts, for budgets, and for the masks or looks after which an exposure is
 classified.
-
-The test that compares counts with the training's is calibrated by simulated exposures of scenes
-that its model has not seen.
 """
 
 from collections.abc import Callable, Sequence
@@ -18,19 +15,10 @@ import numpy as np
 import torch
 from scipy.optimize import minimize_scalar
 from scipy.special import log_softmax
-from torch import Tensor
 
 from deepfsi.camera.camera import Camera
 from deepfsi.design.design import Design
 from deepfsi.designfile.design_file import LOG_BOUNDS, Temperatures
-from deepfsi.designfile.distribution import (
-    SMALLEST_STATISTIC,
-    TAIL_CHANCES,
-    TAIL_COUNTS,
-    ReadoutCounts,
-    ReadoutDistribution,
-    ReadoutModel,
-)
 from deepfsi.exposure.kind import EXPOSED_AT_ONCE, temperatures_at
 
 
@@ -180,87 +168,3 @@ def sample_scenes(count: int, readouts: int, seed: int = 0) -> np.ndarray:
     """Indices of the training scenes that are looked at, of `count`."""
     most = min(max(2**21 // readouts, 512), MOST_SCENES)
     return np.random.default_rng(seed).permutation(count)[:most]
-
-
-def find_distribution(
-    rates: Tensor, labels: Sequence[int] | np.ndarray, classes: int
-) -> ReadoutDistribution | None:
-    """Distribution of readouts of training scenes; None if a class has too few scenes.
-
-    Rates (n, rails, m) are for a budget of one photon.
-    """
-    all_rates = rates.double().cpu().numpy()
-    rng = np.random.default_rng([0, 12])
-    # each fold is calibrated with the covariance of the others
-    folds = np.array_split(rng.permutation(len(all_rates)), 4)
-    # a readout that scenes of one fold alone light cannot be compared with the other folds
-    lit = np.sum([(all_rates[fold] > 0).any(axis=0) for fold in folds], axis=0) > 1
-    sizes = np.bincount(labels, minlength=classes)
-    # the tail of a class, to which a power law is fitted, is a fifth of its scenes
-    if len(all_rates) < 100 or sizes.min() < 50 or not lit.any():
-        return None
-    held = all_rates[:, lit]
-    total = held.mean(axis=0).sum()
-
-    def exposed(expected: float) -> np.ndarray:
-        return rng.poisson(held * (expected / total)).astype(float)
-
-    model = ReadoutModel.fit(held)
-    tails, pairs = _calibrate(model, held, np.asarray(labels), folds, exposed=exposed)
-
-    def spread_out(values: np.ndarray) -> np.ndarray:
-        full = np.zeros((*values.shape[:-1], *lit.shape), np.float32)
-        full[..., lit] = values
-        return full
-
-    return ReadoutDistribution(
-        mean=spread_out(model.share * model.total),
-        spread=np.array(model.spread, np.float32),
-        directions=spread_out(model.directions),
-        rest=spread_out(model.rest),
-        tails=tails.astype(np.float32),
-        pairs=pairs.astype(np.float32),
-    )
-
-
-def _calibrate(
-    model: ReadoutModel,
-    rates: np.ndarray,
-    labels: np.ndarray,
-    folds: list[np.ndarray],
-    exposed: Callable[[float], np.ndarray],
-) -> tuple[np.ndarray, np.ndarray]:
-    """Tails (2, 2, counts, chances) of scenes (n, R), and (counts, chances) of pairs of scenes."""
-    # Each scene is compared with the model of the other folds
-    members = [np.flatnonzero(labels == k) for k in np.unique(labels)]
-    couples = [scenes[: len(scenes) // 2 * 2].reshape(2, -1) for scenes in members]
-    models = [ReadoutModel.fit(np.delete(rates, fold, axis=0)) for fold in folds]
-    likeness = [np.empty((len(TAIL_COUNTS), couple.shape[1])) for couple in couples]
-    levels = []
-    for row, counts in enumerate(TAIL_COUNTS):
-        expected = np.full(len(rates), counts * rates.shape[1])
-        read = exposed(float(expected[0]))
-        seen = ReadoutCounts(read, expected, np.zeros_like(read))
-        statistics = np.empty((2, len(rates)))
-        for fold, other in zip(folds, models, strict=True):
-            statistics[:, fold] = other.statistics(seen.rows(fold))
-        for values, (first, second) in zip(likeness, couples, strict=True):
-            values[row] = model.likeness(seen.rows(first), seen.rows(second))
-        levels.append(statistics)
-    logs = np.log(np.maximum(np.stack(levels, axis=1), SMALLEST_STATISTIC))
-    overall = _tail(logs)
-    worst = np.max([overall, *(_tail(logs[..., scenes]) for scenes in members)], axis=0)
-    pairs = np.max([_tail(np.log(values)) for values in likeness], axis=0)
-    return np.stack([overall, worst]), pairs
-
-
-def _tail(logs: np.ndarray) -> np.ndarray:
-    """Logarithms (..., chances) that values (..., n) exceed with each of `TAIL_CHANCES`."""
-    chances = np.array(TAIL_CHANCES)
-    # the power law is fitted to ten scenes or more
-    tail = chances[chances * logs.shape[-1] >= 10].min()
-    bulk = np.moveaxis(np.quantile(logs, 1 - chances, axis=-1), 0, -1)
-    start = bulk[..., chances == tail]
-    # Hill: mean excess of the logarithms over the start of the tail
-    beyond = np.where(logs > start, logs - start, 0).mean(axis=-1, keepdims=True) / tail
-    return np.where(chances >= tail, bulk, start + beyond * np.log(tail / chances))

@@ -10,7 +10,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from math import prod
-from typing import ClassVar, Literal, NamedTuple, Self
+from typing import Any, ClassVar, Literal, NamedTuple, Self
 
 import numpy as np
 import torch
@@ -20,6 +20,7 @@ from deepfsi.base.errors import InputError
 from deepfsi.camera.camera import Camera
 from deepfsi.camera.names import LIGHT_LAWS, LightLawName
 from deepfsi.designfile.design_file import Temperatures
+from deepfsi.designfile.view_test import SceneReadouts
 from deepfsi.jobs.exposures import ConditionedEntry, Entry
 from deepfsi.physics.detection import Detection, Rails
 from deepfsi.physics.laws import light_law
@@ -251,6 +252,19 @@ class MaskExposure(ExposureKind):
             return answer, CountedLight(counted, float(arriving.sum()))
 
         return expose
+
+    def scene_readouts(self, counts: np.ndarray, photons: float, noise: Any) -> SceneReadouts:
+        """Counts (s, [2,] m [, D]) of scenes at a budget, for the tests of counts.
+
+        `noise`, as the counts of one scene, is their variance beyond that of its photons.
+        """
+        rails = self.rails.stacked.cpu().numpy().astype(float)
+        # rails of one arm are seen by one detector in turn, two arms have one each
+        arms = np.arange(len(rails))[:, None] * (LIGHT_LAWS[self.light].arms == 2)
+        labels = self.detection.labels
+        cells = None if labels is None else labels.cpu().numpy()
+        gain = photons / self.summed_reflectance
+        return SceneReadouts.of(gain * rails, counts, noise, cells, arms)
 
     # Answering
 

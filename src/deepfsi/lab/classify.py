@@ -17,14 +17,12 @@ from deepfsi.base.tables import read_table
 from deepfsi.camera.camera import Camera
 from deepfsi.camera.dead_time import NO_DEAD_TIME
 from deepfsi.camera.light import check_budget
-from deepfsi.camera.names import LIGHT_LAWS
 from deepfsi.counting.acquisition import Scene
 from deepfsi.counting.counts import Counts
 from deepfsi.counting.recording import Recording
 from deepfsi.counting.tables import TableSettings, count_table
-from deepfsi.designfile.distribution import UNSURE, ConsistencyResult
+from deepfsi.designfile.misfit import FALSE_ALARM
 from deepfsi.designfile.provenance import was_trained_on
-from deepfsi.designfile.view_test import ViewResult
 from deepfsi.lab.count_test import CountTest
 from deepfsi.lab.design_data import design_rails, open_design, shown_design
 from deepfsi.lab.results import LOG, ClassifiedRun, ClassifiedScene, read_log
@@ -102,12 +100,13 @@ def _live_answers(design: Path, run: Recording, trust: bool) -> ClassifiedRun:
     if len(scenes) < len(log) or not sizes <= {0, len(opened.classes)}:
         raise InputError(f"{run.folder / LOG} does not fit the run's settings: it was changed")
     trained = was_trained_on(opened.training_scenes, [scene.hash for scene in scenes])
+    tested = opened.prior_exposure.usual_misfit is not None
     return ClassifiedRun(
         title="a live run, as it was decided",
         noun="scene",
         classes=opened.classes,
         scenes=tuple(
-            logged.answer(scene, opened.classes, known)
+            logged.answer(scene, opened.classes, known, tested)
             for scene, logged, known in zip(scenes, log, trained, strict=True)
         ),
         faults=tuple(fault for logged in log for fault in logged.faults),
@@ -227,34 +226,53 @@ def _classify_counts(
         raise InputError(
             f"{source} has no exposure that can be classified{reason}: record again{forced}"
         )
-    consistency, view = _test(design, test, counts, budgets, usable)
-    for verdict in (consistency, view):
-        if verdict is not None and verdict.refused and not force:
-            raise InputError(f"{verdict.refusal}; `force` classifies them all the same")
+    # The tests take scenes for independent, which exposures of one scene are not
+    exposures = counts.expand_to_counts(usable)
+    number = exposures.sum(axis=1)
+    sums = design.readouts(counts.signal().sum(axis=1, where=exposures))
+    noise = counts.background.clip(min=0) * number + counts.excess.sum(axis=1, where=exposures)
+    noise = design.readouts(noise)
+    light = budgets * usable.sum(axis=1)
+    tested = design.usual_misfit is not None
+    unlike: list[bool | None] = [None] * len(scenes)
+    view = None
+    for scene in np.flatnonzero(light).tolist():
+        budget = float(light[scene])
+        if tested:
+            p_value = float(design.consistency(sums[scene], budget, noise[scene]))
+            faults, refused = test.find_unlike(scene, len(scenes), p_value)
+            if refused and not force:
+                raise InputError(f"{faults[0].detail}; `force` classifies them all the same")
+            unlike[scene] = p_value < FALSE_ALARM
+        if design.exposure.comparable:
+            readouts = design.mask_exposure.scene_readouts(sums[scene][None], budget, noise[scene])
+            view = test.see(readouts)
+    if view is not None and view.refused and not force:
+        raise InputError(f"{view.refusal}; `force` classifies them all the same")
     if counts.gates is not None:
-        tested = budgets[usable.any(axis=1)].mean()
+        mean = budgets[usable.any(axis=1)].mean()
         remarks = [
             "these clicks were not compared with those of the training: the test is of photon "
-            f"counts. They are read for the stated budget: this is {tested:.3g} photons, that of "
+            f"counts. They are read for the stated budget: this is {mean:.3g} photons, that of "
             f"the training was {design.info['job']['photons']:.3g}"
         ]
     else:
-        remarks = [NOT_COMPARED] if consistency is None else [*consistency.remarks]
+        remarks = [] if tested else [NOT_COMPARED]
         remarks.append(NOT_VIEWED if view is None else view.remark or "")
     return ClassifiedRun(
         title=f"{design.name}, {design.masks} masks",
         classes=design.classes,
-        scenes=tuple(_answers(design, counts, scenes, usable, budgets, consistency)),
+        scenes=tuple(_answers(design, counts, scenes, usable, budgets, unlike)),
         remarks=tuple(filter(None, remarks)),
         faults=counts.faults,
-        consistency=consistency,
         view=view,
     )
 
 
 NOT_COMPARED = (
-    "these counts were not compared with those of the training, which takes steady light and 50 "
-    "training scenes of each class: a scene of something else gets a class, too"
+    "these counts were not compared with those of the training, which takes steady light and a "
+    "design of this version with 20 training scenes of each class: a scene of something else gets "
+    "a class, too"
 )
 NOT_VIEWED = (
     "not tested for how the camera sees the scenes (mirrored, blurred, with stray light), which "
@@ -263,40 +281,17 @@ NOT_VIEWED = (
 )
 
 
-def _test(
-    design: "Design", test: CountTest, counts: Counts, budgets: np.ndarray, usable: np.ndarray
-) -> tuple[ConsistencyResult | None, ViewResult | None]:
-    """Verdicts on counts, summed over the usable exposures (S, R) of each scene."""
-    # The tests take scenes for independent, which exposures of one scene are not
-    exposures = counts.expand_to_counts(usable)
-    number = exposures.sum(axis=1)
-    sums = counts.signal().sum(axis=1, where=exposures)
-    noise = counts.background.clip(min=0) * number + counts.excess.sum(axis=1, where=exposures)
-    light = budgets * usable.sum(axis=1)
-    seen = np.flatnonzero(light)
-    consistency = test.compare(sums[seen], light[seen], noise[seen])
-    rails = design.rails.stacked.cpu().numpy().astype(float)
-    two_arms = LIGHT_LAWS[design.mask_exposure.light].arms == 2
-    # rails of one arm are seen by one detector in turn, two arms have one each
-    arms = np.arange(len(rails))[:, None] * two_arms
-    view = None
-    for scene in seen.tolist():
-        view = test.see(rails, light[scene], sums[scene], noise[scene], arms)
-    return consistency, view
-
-
 def _answers(
     design: "Design",
     counts: Counts,
     scenes: Sequence[Scene],
     usable: np.ndarray,
     budgets: np.ndarray,
-    consistency: ConsistencyResult | None,
+    unlike: Sequence[bool | None],
 ) -> Iterator[ClassifiedScene]:
     """Class of each scene, by the mean probabilities of its usable exposures (S, R)."""
     probabilities = design.classify(design.readouts(counts.signal()), budgets[:, None])
     trained = was_trained_on(design.training_scenes, [scene.hash for scene in scenes])
-    tested = np.cumsum(usable.any(axis=1)) - 1  # scenes in the order of the consistency
     for index, scene in enumerate(scenes):
         sound = probabilities[index][usable[index]]
         answer = ClassifiedScene(
@@ -305,7 +300,7 @@ def _answers(
             trained_on=trained[index],
             faults=tuple(fault for fault in counts.faults if fault.scene in (index, None)),
             guesses=tuple(design.classes[best] for best in sound.argmax(axis=-1)),
-            unsure=None if consistency is None else False,
+            unlike=unlike[index],
         )
         if len(sound):
             mean = sound.mean(axis=0)
@@ -315,7 +310,4 @@ def _answers(
                 probability=float(mean.max()),
                 photons=float(budgets[index]),
             )
-            if consistency is not None:
-                p_value = float(consistency.exposures[tested[index]])
-                answer = replace(answer, consistency=p_value, unsure=p_value < UNSURE)
         yield answer

@@ -13,8 +13,8 @@ import numpy as np
 from deepfsi.camera.light import TOO_DIM
 from deepfsi.counting.checks import Fault
 from deepfsi.counting.counts import Counts
-from deepfsi.designfile.distribution import REFUSED, UNSURE, ConsistencyResult
-from deepfsi.designfile.view_test import FALSE_ALARM, SceneReadouts, ViewResult, ViewTest
+from deepfsi.designfile.misfit import FALSE_ALARM
+from deepfsi.designfile.view_test import SceneModel, SceneReadouts, ViewResult, ViewTest
 
 if TYPE_CHECKING:  # it imports torch, which the command line loads late
     from deepfsi.design.design import Design
@@ -27,17 +27,23 @@ class CountTest:
         self._design = design
         self._trained = design.info.get("job", {}).get("photons")
         # A run is doubted by its last 20 scenes: what was sound before says nothing of now
-        self._unsure: deque[bool] = deque(maxlen=20)
+        self._unlike: deque[bool] = deque(maxlen=20)
+
+    @cached_property
+    def model(self) -> SceneModel | None:
+        """Model of the training's scenes; it is of photons, and clicks are none."""
+        design = self._design
+        if design.camera.clicks is not None:
+            return None
+        made = design.exposure.makes_masks
+        return design.prior_exposure.prior.model if made else design.scene_model
 
     @cached_property
     def _view(self) -> ViewTest | None:
-        design = self._design
-        model = design.scene_model
-        if design.exposure.makes_masks:
-            model = design.prior_exposure.prior.model
-        # The model is of photons, and clicks are not in proportion to them
-        clicks = design.camera.clicks is not None
-        return None if model is None or clicks else ViewTest(model, design.image_shape)
+        trained = self._design.training_scenes
+        if self.model is None or trained is None or len(trained) < 100:
+            return None
+        return ViewTest(self.model, self._design.image_shape)
 
     def find_dim(self, budgets: np.ndarray, first: int = 0) -> list[Fault]:
         """Faults of scenes, from `first`, whose budgets (S,) are far below the training's."""
@@ -70,67 +76,31 @@ class CountTest:
         scenes = np.unique(np.flatnonzero(repeated) // counts.valid.shape[1])
         return [Fault(kind="repeated", scene=scene, detail=detail) for scene in scenes.tolist()]
 
-    def compare(
-        self, counts: np.ndarray, photons: np.ndarray, noise: np.ndarray
-    ) -> ConsistencyResult | None:
-        """Compare counts (S, rails, m[, D]) with the training's; None if the design lacks them."""
-        design = self._design
-        if design.distribution is None:
-            return None
-        return design.consistency(design.readouts(counts), photons, design.readouts(noise))
+    def find_unlike(self, scene: int, scenes: int, p_value: float) -> tuple[list[Fault], bool]:
+        """Faults of the next of `scenes` scenes of a run, and whether the run is refused.
 
-    def find_unlike(self, scene: int, scenes: int, p_value: float, misfit: str) -> list[Fault]:
-        """Faults of a scene of a live run, by the p-value of its misfit."""
+        `p_value` is that of its counts by the usual misfit.
+        """
         from scipy.special import bdtrc
 
-        self._unsure.append(p_value < UNSURE)
-        unsure = sum(self._unsure)
-        tested = len(self._unsure)
-        faults = []
-        if p_value < UNSURE:
+        self._unlike.append(p_value < FALSE_ALARM)
+        unlike = sum(self._unlike)
+        tested = len(self._unlike)
+        detail = f"its counts do not look like those of the training (p = {p_value:.1g})"
+        # a class may be unlike the training twice as often as all are
+        refused = bool(bdtrc(unlike - 1, tested, 2 * FALSE_ALARM) * scenes < FALSE_ALARM)
+        if refused:
             detail = (
-                "its counts do not look like what this design was trained for (p = "
-                f"{p_value:.1g}; {misfit})"
+                f"{unlike} of the last {tested} scenes do not look like those of the training: "
+                "look at the light, the design, the scenes and their scale, the order of frames, "
+                "`dead_time` and `photons`"
             )
-            faults.append(Fault(kind="unsure", scene=scene, detail=detail))
-        if bdtrc(unsure - 1, tested, 2 * UNSURE) * scenes < REFUSED:
-            detail = (
-                f"{unsure} of the last {tested} scenes do not look like those of the training: "
-                "look at the light, the design, the scenes and their scale, and `dead_time`"
-            )
-            faults.append(Fault(kind="unlike", scene=scene, detail=detail))
-        return faults
+        faults = [Fault(kind="unlike", scene=scene, detail=detail)]
+        return faults if self._unlike[-1] or refused else [], refused
 
-    def see(
-        self,
-        masks: np.ndarray,
-        photons: np.ndarray | float,
-        counts: np.ndarray,
-        noise: np.ndarray,
-        arms: np.ndarray,
-    ) -> ViewResult | None:
-        """Add a scene, and give the view of the camera on all so far; None if it is not tested.
-
-        `masks` (..., N) are shares of the light, `photons` their budgets, `counts` (..., D) are
-        without the dark ones, `noise` (..., D) is their variance beyond Poisson's, `arms` (...)
-        count them.
-        """
+    def see(self, readouts: SceneReadouts) -> ViewResult | None:
+        """Add a scene, and give the view of the camera on all so far; None if it is not tested."""
         if self._view is None:
             return None
-        detection = self._design.exposure.detection
-        cells = 0 if detection.labels is None else detection.labels.cpu().numpy()
-        detectors = np.arange(detection.count)
-        # (D, N): cells of each detector; one detector sees all
-        sees = np.equal.outer(detectors, cells)
-        gain = np.asarray(photons / self._design.summed_reflectance)[..., None, None]
-        seen = gain * (masks[..., None, :] * sees)
-        inputs = np.broadcast_to(arms[..., None] * len(detectors) + detectors, seen.shape[:-1])
-        self._view.add(
-            SceneReadouts(
-                masks=seen.reshape(-1, seen.shape[-1]),
-                counts=counts.ravel(),
-                noise=noise.ravel(),
-                inputs=inputs.ravel(),
-            )
-        )
+        self._view.add(readouts)
         return self._view.result

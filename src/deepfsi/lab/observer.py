@@ -30,7 +30,7 @@ from deepfsi.counting.checks import SPOILING, Fault, LightMonitor
 from deepfsi.counting.counts import Corrections
 from deepfsi.counting.flux import Arrivals
 from deepfsi.design.design import Design
-from deepfsi.designfile.view_test import ViewResult
+from deepfsi.designfile.view_test import SceneReadouts, ViewResult
 from deepfsi.lab.count_test import CountTest
 from deepfsi.lab.results import MARGIN_NS, OFF, Decision, FrameList
 from deepfsi.patterns.manifest import Brightness, LookPlan, Manifest
@@ -86,10 +86,11 @@ class SceneObserver:
             yield decision
         end = self._arrivals(count, self._ends)
         faults = self._light.end([begin, *arrivals, end])
-        doubts = self._test.find_dim(np.array([photons]), first=scene) + self._find_unlike(scene)
+        doubts = self._test.find_dim(np.array([photons]), first=scene)
+        doubts += self._find_unlike(scene, [begin, end])
         view = None
         # With other faults the counts tell nothing of how the camera sees scenes
-        kinds = {fault.kind for fault in (*faults, *doubts)} - {"unsure", "unlike"}
+        kinds = {fault.kind for fault in (*faults, *doubts)} - {"unlike"}
         if not kinds & set(SPOILING):
             view = self._see(photons, arrivals)
         if view is not None and view.refused:
@@ -160,19 +161,24 @@ class SceneObserver:
         counts = np.concatenate([arrived.photons for arrived in arrivals])
         variance = np.concatenate([arrived.variance for arrived in arrivals])
         dark = self._light.dark * (gates_ns * 1e-9)
+        gain = photons / self._exposure.summed_reflectance * (gates_ns / self._exposure_ns)
+        labels = self._exposure.detection.labels
         return self._test.see(
-            np.stack([lit, 1 - lit][: len(arms)], axis=1),
-            photons * (gates_ns / self._exposure_ns),
-            counts - dark,
-            dark.clip(min=0) + (variance - counts).clip(min=0),
-            arms,
+            SceneReadouts.of(
+                gain[..., None] * np.stack([lit, 1 - lit][: len(arms)], axis=1),
+                (counts - dark)[None],
+                dark.clip(min=0) + (variance - counts).clip(min=0),
+                None if labels is None else labels.numpy(),
+                np.broadcast_to(arms, (len(lit), len(arms))),
+            )
         )
 
     @library_defaults(grad=False)
-    def _find_unlike(self, scene: int) -> list[Fault]:
-        """Faults of counts that do not look like the training's."""
+    def _find_unlike(self, scene: int, ends: list[Arrivals]) -> list[Fault]:
+        """Faults of counts that do not look like the training's, all-ON frames at both ends too."""
         usual = self._exposure.usual_misfit
-        if usual is None:
+        model = self._test.model
+        if usual is None or model is None:
             return []
         looks = len(self._masks)
         misfit = self._misfit
@@ -184,9 +190,15 @@ class SceneObserver:
             share = self._exposure.settings.shares[0]
             counts = torch.cat(self._counts)
             misfit = float(before.misfit(torch.cat(self._masks), counts, share).sum())
-        p_value = usual.p_value(misfit, looks - 1, self._optics.photons)
-        words = f"a misfit of {misfit:.3g} in {looks} looks"
-        return self._test.find_unlike(scene, self._scenes, p_value, words)
+        photons = self._optics.photons
+        inputs = self._manifest.on_inputs
+        shares = sum(end.seconds[0] for end in ends) * 1e9 / self._exposure_ns  # of all-ON frames
+        dark = self._light.dark[inputs].sum() * shares * self._exposure_ns * 1e-9
+        lit = sum(end.photons[0, inputs].sum() for end in ends) - dark
+        gain = photons * shares / self._exposure.summed_reflectance
+        light = SceneReadouts.all_on(np.array([lit]), gain, max(dark, 0.0), model.means.shape[1])
+        p_value = usual.p_values(np.array([misfit]), looks, photons, model.light(light))
+        return self._test.find_unlike(scene, self._scenes, float(p_value[0]))[0]
 
 
 def _scene_ends(manifest: Manifest, settle_s: float) -> FrameList:

@@ -12,6 +12,7 @@ from deepfsi.base.errors import InputError
 from deepfsi.base.quantities import budget_text
 from deepfsi.camera.camera import CameraSource
 from deepfsi.camera.light import check_budget
+from deepfsi.designfile.misfit import FALSE_ALARM
 from deepfsi.designfile.provenance import scene_hashes, trained_budgets, was_trained_on
 from deepfsi.lab.count_test import CountTest
 from deepfsi.lab.design_data import design_scenes
@@ -32,7 +33,7 @@ class Predictions(ClassifiedRun):
     def as_dict(self) -> dict[str, Any]:
         """JSON types only."""
         names = {"picture": "name", "class": "predicted", "confidence": "probability"}
-        names |= {"label": "label", "trained_on": "trained_on"}
+        names |= {name: name for name in ("label", "trained_on", "unlike")}
         alike = ("photons", "noise", "preprocessing", "remarks", "classes", "score")
         content = {name: getattr(self, name) for name in alike}
         content["pictures"] = [
@@ -97,7 +98,6 @@ def predict(
     import torch
 
     from deepfsi.evaluation.accuracy import camera_for
-    from deepfsi.exposure.kind import EXPOSED_AT_ONCE
     from deepfsi.exposure.training_set import check_classes
     from deepfsi.physics.surroundings import library_defaults
 
@@ -117,14 +117,21 @@ def predict(
             photons = tested.budget if tested.budget and low <= tested.budget <= high else low
         budget = check_budget(photons)
         shown = design_scenes(design.info, design.image_shape, source)
-        generator = torch.Generator(design.exposure.device).manual_seed(seed)
-        scenes = torch.from_numpy(np.ascontiguousarray(shown.x.reshape(len(shown.x), -1)))
-        probabilities = []
-        for block in scenes.split(EXPOSED_AT_ONCE):
-            answer, _ = design.exposures(block, tested)(budget, generator)
-            probabilities.append(answer.probabilities.cpu())
-        confidence, best = torch.cat(probabilities).max(dim=-1)
+        scenes = np.ascontiguousarray(shown.x.reshape(len(shown.x), -1))
+        p_values = None
+        if design.exposure.makes_masks:
+            generator = torch.Generator().manual_seed(seed)
+            answers, p_values = design.prior_exposure.tested(
+                torch.from_numpy(scenes), budget, tested, generator
+            )
+            probabilities = answers.numpy()
+        else:
+            counts = design.expose(scenes, budget, seed, tested)
+            probabilities = design.classify(counts, budget)
+            if design.usual_misfit is not None:
+                p_values = design.consistency(counts, budget)
         dim = CountTest(design).find_dim(np.array([budget]))
+    best = probabilities.argmax(axis=1)
     labels = shown.labels or [None] * len(shown.names)
     trained = was_trained_on(design.training_scenes, scene_hashes(shown.x, design.image_shape))
     size = f"{design.name}, {design.exposure.title}"
@@ -141,7 +148,8 @@ def predict(
                 name=name,
                 label=labels[index],
                 predicted=design.classes[best[index]],
-                probability=float(confidence[index]),
+                probability=float(probabilities[index].max()),
+                unlike=None if p_values is None else bool(p_values[index] < FALSE_ALARM),
                 trained_on=trained[index],
             )
             for index, name in enumerate(shown.names)

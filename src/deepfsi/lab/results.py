@@ -18,7 +18,7 @@ from deepfsi.base.models import StrictModel, WholeNumber
 from deepfsi.base.quantities import Table, plural, time_text
 from deepfsi.counting.acquisition import Scene
 from deepfsi.counting.checks import SPOILING, Fault
-from deepfsi.designfile.distribution import ConsistencyResult
+from deepfsi.designfile.misfit import FALSE_ALARM
 from deepfsi.designfile.provenance import Score, score_lines, score_of
 from deepfsi.designfile.view_test import ViewResult
 
@@ -83,7 +83,7 @@ class LoggedScene(StrictModel):
     clock_s: float = Field(ge=0)  # From the scene's first command to its decision, seconds
 
     def answer(
-        self, scene: Scene, classes: tuple[str, ...], trained_on: bool | None
+        self, scene: Scene, classes: tuple[str, ...], trained_on: bool | None, tested: bool
     ) -> "ClassifiedScene":
         """Class of the scene; it has none if a fault spoils its counts."""
         spoilt = any(fault.kind in SPOILING for fault in self.faults)
@@ -95,6 +95,7 @@ class LoggedScene(StrictModel):
             probability=max(probabilities, default=None),
             trained_on=trained_on,
             faults=self.faults,
+            unlike=any(fault.kind == "unlike" for fault in self.faults) if tested else None,
             looks=sum(shown.look >= 0 for shown in self.lists),
             light_s=self.light_s,
             clock_s=self.clock_s,
@@ -126,12 +127,11 @@ class ClassifiedScene:
     predicted: str | None = None
     probability: float | None = None
     trained_on: bool | None = None  # True if the design was; None where its file does not say
+    unlike: bool | None = None  # True if its counts are unlike the training's; None if not tested
     faults: tuple[Fault, ...] = ()  # of the scene, and of the whole recording
     photons: float | None = None  # budget of an exposure
     # Of a recording
     guesses: tuple[str, ...] | None = None  # class of each exposure
-    consistency: float | None = None  # p-value of its counts
-    unsure: bool | None = None  # True if they do not look like those of the training
     # Of a live run
     looks: int | None = None
     light_s: float | None = None  # exposure that was used, seconds
@@ -148,14 +148,16 @@ class ClassifiedScene:
         """JSON types only."""
         content = dict(vars(self), faults=[str(fault) for fault in self.faults])
         content = {"scene": content.pop("name"), "class": content.pop("predicted"), **content}
-        always = ("class", "label", "probability", "trained_on")
+        always = ("class", "label", "probability", "trained_on", "unlike")
         return {key: value for key, value in content.items() if value is not None or key in always}
 
     def cells(self) -> dict[str, str]:
         """Cells of a table by their heads."""
         repeated = len(self.answers) > 1
         agreeing = f"{self.answers.count(str(self.predicted))} of {len(self.answers)}"
-        kinds = sorted({fault.kind for fault in self.faults})
+        kinds: set[str] = {fault.kind for fault in self.faults}
+        if self.unlike:
+            kinds.add("unlike")
         return {
             "scene": self.name,
             "class": self.predicted or "none",
@@ -164,7 +166,7 @@ class ClassifiedScene:
             "looks": "" if self.looks is None else str(self.looks),
             "light": "" if self.light_s is None else time_text(self.light_s),
             "labelled": self.label or "",
-            "remarks": ", ".join(kinds + ["unsure"] * bool(self.unsure)),
+            "remarks": ", ".join(sorted(kinds)),
         }
 
 
@@ -178,7 +180,6 @@ class ClassifiedRun:
     noun: str = "exposure"  # what each answer is to
     remarks: tuple[str, ...] = ()  # on the tests of the counts, for a reader
     faults: tuple[Fault, ...] = ()  # of the markers and the light
-    consistency: ConsistencyResult | None = None
     view: ViewResult | None = None
 
     @property
@@ -203,6 +204,11 @@ class ClassifiedRun:
     def summary(self) -> Iterator[str]:
         """Say the results of the tests of counts, and how many answers are right."""
         yield from self.remarks
+        if unlike := sum(bool(scene.unlike) for scene in self.scenes):
+            yield (
+                f"unlike: {unlike} of {len(self.scenes)} do not look like those of the training, "
+                f"as 1 sound scene in {1 / FALSE_ALARM:g} does not"
+            )
         unclassified = sum(scene.predicted is None for scene in self.scenes)
         if unclassified:
             yield f"no class: {unclassified} of {plural(len(self.scenes), 'scene')}"
@@ -214,10 +220,9 @@ class ClassifiedRun:
 
     def as_dict(self) -> dict[str, Any]:
         """JSON types only."""
-        tests = {"consistency": self.consistency, "view": self.view}
         return {
             "score": self.score,
-            **{name: test.as_dict() for name, test in tests.items() if test is not None},
+            **({} if self.view is None else {"view": self.view.as_dict()}),
             "remarks": list(self.remarks),
             "scenes": [scene.as_dict() for scene in self.scenes],
         }

@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 import torch
 from pydantic import BaseModel
-from torch import Tensor
 
 from deepfsi.adaptive.dictionary import MaskDictionary
 from deepfsi.adaptive.exposure import (
@@ -26,14 +25,13 @@ from deepfsi.adaptive.exposure import (
 from deepfsi.datasets.dataset import Dataset
 from deepfsi.design.design import Design
 from deepfsi.designfile.design_file import CALIBRATION_REACH, Temperatures, calibration_budgets
-from deepfsi.designfile.distribution import ReadoutDistribution
+from deepfsi.designfile.misfit import MISFIT_BUDGETS, UsualMisfit
 from deepfsi.designfile.provenance import TrainedOn
 from deepfsi.designfile.view_test import SceneModel
 from deepfsi.evaluation.confidence import (
     CalibrationScenes,
     Labelled,
     LeftOutTest,
-    find_distribution,
     fit_temperatures,
     measure_left_out,
     sample_scenes,
@@ -59,7 +57,7 @@ def characterise(
 ) -> None:
     """Give trained designs their distribution, scene model and temperatures, from simulation."""
     if designs[0].exposure.comparable and designs[0].camera.clicks is None:
-        _model_counts(training_set, designs)
+        _model_counts(training_set, jobs, designs)
     for index, (job, design) in enumerate(zip(jobs, designs, strict=True)):
         if design.classes:
             folds = [(fold, of_jobs[index]) for fold, of_jobs in left_out]
@@ -98,30 +96,45 @@ def find_temperatures(
     return fitted, measure_left_out(scenes, fitted, job.photons, _guess(data))
 
 
-def _model_counts(training_set: TrainingSet, designs: Sequence[Design]) -> None:
+def _model_counts(
+    training_set: TrainingSet, jobs: Sequence[Job], designs: Sequence[Design]
+) -> None:
     """Give designs the models for tests of a run's counts."""
-    first = designs[0]
     x = training_set.full
-    labels = training_set.data.groups
     rows = sample_scenes(len(x), x.shape[1])
     scenes = x[rows].double().cpu().numpy()
-    # scenes with values are one class
-    scene_model = SceneModel.fit(scenes, labels[rows], len(first.classes) or 1)
-    for design in designs:
-        # readouts depend only on the masks, which designs may share
-        shared = design is not first and torch.equal(first.rails.stacked, design.rails.stacked)
-        design.distribution = first.distribution if shared else _distribution(design, x, labels)
-        design.scene_model = scene_model
+    labels = training_set.data.groups[rows]  # scenes with values are one class
+    if not SceneModel.are_enough(np.bincount(labels, minlength=len(designs[0].classes))):
+        return
+    model = SceneModel.fit(scenes, labels)
+    for job, design in zip(jobs, designs, strict=True):
+        design.scene_model = model
+        # readouts of a frame share noise under unsteady light, which the test lacks
+        if not design.camera.fluctuation:
+            fewer = len(sample_scenes(len(scenes), prod(design.counts_shape)))
+            misfit = _usual_misfit(design, job.photons, scenes[:fewer], labels[:fewer])
+            design.usual_misfit = misfit
 
 
-def _distribution(design: Design, scenes: Tensor, labels: np.ndarray) -> ReadoutDistribution | None:
-    """Distribution of the readouts of scenes (n, N) of classes (n,), or None of too few scenes."""
-    if design.camera.fluctuation:  # readouts of a frame then share noise, which the test lacks
-        return None
-    rows = sample_scenes(len(scenes), prod(design.counts_shape))
+def _usual_misfit(
+    design: Design, photons: float, scenes: np.ndarray, labels: np.ndarray
+) -> UsualMisfit:
+    """Misfit of simulated exposures of scenes (n, N), each by the model of other scenes."""
+    exposure = design.mask_exposure
+    rng = np.random.default_rng([0, 12])
+    folds = np.array_split(rng.permutation(len(scenes)), 4)
+    others = [SceneModel.fit(np.delete(scenes, f, 0), np.delete(labels, f)) for f in folds]
     with torch.no_grad():
-        rates = design.mask_exposure.rates(design.scanner(), scenes[rows])
-        return find_distribution(rates, labels[rows], len(design.classes) or 1)
+        shown = torch.from_numpy(scenes).float().to(exposure.device)
+        rates = exposure.rates(design.scanner(), shown).double().cpu().numpy()
+    budgets = np.array(MISFIT_BUDGETS) * photons
+    misfits = np.empty((len(budgets), 1, len(scenes)))
+    for row, budget in enumerate(budgets.tolist()):
+        counts = rng.poisson(rates * budget).astype(float)
+        for fold, model in zip(folds, others, strict=True):
+            readouts = exposure.scene_readouts(counts[fold], budget, 0.0)
+            misfits[row, 0, fold] = model.misfit(readouts)
+    return UsualMisfit.of(budgets, misfits, rates.sum(axis=(1, 2)))
 
 
 def fold_answers(
