@@ -14,7 +14,7 @@ from deepfsi.designfile.view_test import SceneModel
 from shared.jobs import learn
 
 PIXELS, CLASSES, PHOTONS = 36, 2, 1e4
-USUAL = SceneLight(np.ones(1), 0.1, 0.0)
+USUAL = SceneLight(np.ones(1), 0.1, 0.0, np.array([0.5, 2.0]))
 
 
 def scenes_of(rng, count):
@@ -71,7 +71,7 @@ def test_background_is_noise_of_sound_scenes():
 def test_p_values_are_those_of_the_measured_law():
     """Half at the median, a sixth one deviation above; between budgets, and the same beyond."""
     logs = np.stack([np.log([[1.0, 2], [1, 2], [4, 8]]), np.full((3, 2), 0.5)])
-    usual = UsualMisfit(1e3 * np.array(MISFIT_BUDGETS), logs, np.array([0.5, 2.0]))
+    usual = UsualMisfit(1e3 * np.array(MISFIT_BUDGETS), logs, USUAL.usual[None])
 
     def p_value(misfit, looks, photons, light=USUAL):
         return usual.p_values(np.array([misfit]), looks, photons, light)[0]
@@ -83,7 +83,7 @@ def test_p_values_are_those_of_the_measured_law():
     assert p_value(0.0, 1, 1e3) == 1
     # light beyond all training scenes, and beyond a normal law of its logarithm, both ways
     for share in (2.1, 1 / 2.1):
-        light = SceneLight(np.array([share]), 0.3, 0.0)
+        light = USUAL._replace(share=np.array([share]), spread=0.3)
         deviations = np.log(2.1) / np.sqrt(np.log1p(0.09))
         assert p_value(0.0, 1, 1e3, light) == pytest.approx(4 * norm.sf(deviations))
         assert p_value(0.0, 1, 1e3, light._replace(noise=0.1)) == 1
@@ -97,16 +97,16 @@ def test_light_has_the_moments_of_the_scenes():
     design = make("dmd-2x2")
     bright = design.expose(x, 1e9, seed=1)
     rows = design.mask_exposure.scene_readouts(bright.astype(float), 1e9, 0.0)
-    light = model.light(rows)
+    light = model.light(rows, USUAL.usual)
     assert light.share.mean() == pytest.approx(1, abs=5 * light.spread / 4000**0.5)
     assert light.share.std() == pytest.approx(light.spread, rel=0.06)
     one = np.repeat(x[:1], 4000, axis=0)
     again = design.mask_exposure.scene_readouts(design.expose(one, 100.0, seed=2), 100.0, 7.0)
-    found = model.light(again)
+    found = model.light(again, USUAL.usual)
     dark = 7.0 * np.prod(design.counts_shape)
     expected = (again.masks.sum(axis=0) @ model.mean).sum()
     assert found.noise == pytest.approx(np.sqrt(expected + dark) / expected)
-    dark_free = model.light(replace(again, noise=np.zeros_like(again.noise)))
+    dark_free = model.light(replace(again, noise=np.zeros_like(again.noise)), USUAL.usual)
     mean = found.share.mean()
     assert found.share.std() == pytest.approx(dark_free.noise * mean**0.5, rel=0.06)
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from PIL import Image
+from scipy.stats import binom
 
 import deepfsi
 from deepfsi import InputError
@@ -94,3 +95,21 @@ def test_what_cannot_be_predicted_is_one_line(
     with pytest.raises(InputError, match=match) as error:
         deepfsi.predict(design, pictures, photons)
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("kind", ["deepfsi", "adaptive"])
+def test_pictures_unlike_the_training_are_marked(digits, kind):
+    """Inverted, black and white ones are; of sound ones 1 in 200, twice as often at most."""
+    words = {"masks": 12, "epochs": 20} if kind == "deepfsi" else {"design": kind, "masks": 12}
+    design = learn(digits, photons=1e4, camera="dmd", **words)
+    low, high = float(digits.x_train.min()), float(digits.x_train.max())
+    others = [low + high - digits.x_test, 0 * digits.x_test, 0 * digits.x_test + 1]
+    for x in others:
+        found = deepfsi.predict(design, x, 1e4, seed=1)
+        assert np.mean([scene.unlike for scene in found.scenes]) > 0.9
+        assert found.as_dict()["pictures"][0]["unlike"]
+    sound = deepfsi.predict(design, digits.x_test, 1e4, seed=1)
+    unlike = sum(scene.unlike for scene in sound.scenes)
+    assert unlike <= binom.ppf(0.999, len(digits.x_test), 0.01)
+    dim = deepfsi.predict(design, digits.x_test, 1e4, camera="dmd", seed=1, dark=3e3)
+    assert sum(scene.unlike for scene in dim.scenes) <= binom.ppf(0.999, len(digits.x_test), 0.01)

@@ -251,29 +251,29 @@ class AdaptiveExposure(ExposureKind):
         return expose
 
     def tested(
-        self, scenes: Tensor, photons: float, camera: Camera, generator: torch.Generator
-    ) -> tuple[Tensor, np.ndarray | None]:
+        self, scenes: Tensor, photons: float, camera: Camera, seed: int, all_on: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray | None]:
         """Probabilities (n, C) of exposures of scenes (n, N), and p-values (n,) of their counts.
 
-        Each exposure has an all-ON frame as long as all its looks. There are no p-values without
-        the usual misfit, or a model of the scenes.
+        `all_on` (n,) are the counts of all-ON frames. There are no p-values without the usual
+        misfit, or a model of the scenes.
         """
+        generator = torch.Generator().manual_seed(seed)
         optics = self.optics_at(photons, camera)
         runs = [
             self._run(self.posterior(len(x), optics), x, generator, misfit=True)
             for x in scenes.split(self.prior.exposed_at_once)
         ]
-        probabilities = torch.cat([run.probabilities for run in runs])
+        probabilities = torch.cat([run.probabilities for run in runs]).numpy()
         model = self.prior.model
         if self.usual_misfit is None or model is None:
             return probabilities, None
         gain = photons / self.summed_reflectance
-        dark = float(optics.dark_sum)
-        counts = torch.poisson(scenes.double().sum(dim=1) * gain + dark, generator) - dark
-        rows = SceneReadouts.all_on(counts.numpy(), gain, dark, scenes.shape[1])
+        rows = SceneReadouts.all_on(all_on, gain, 0.0, scenes.shape[1])
+        light = model.light(rows, self.usual_misfit.light[0])
         misfits = torch.cat([run.misfits for run in runs]).numpy()
         looks = torch.cat([run.looks for run in runs]).numpy()
-        return probabilities, self.usual_misfit.p_values(misfits, looks, photons, model.light(rows))
+        return probabilities, self.usual_misfit.p_values(misfits, looks, photons, light)
 
     def _run(
         self, state: AdaptivePosterior, x: Tensor, generator: torch.Generator, misfit: bool = False

@@ -21,7 +21,7 @@ from deepfsi.design.networks import Given, OwnClassifier, with_code
 from deepfsi.designfile.design_file import DesignFile, Temperatures, find_design
 from deepfsi.designfile.misfit import UsualMisfit
 from deepfsi.designfile.provenance import trained_camera
-from deepfsi.designfile.view_test import SceneModel
+from deepfsi.designfile.view_test import SceneModel, SceneReadouts
 from deepfsi.exposure.kind import (
     EXPOSED_AT_ONCE,
     Answer,
@@ -277,7 +277,9 @@ class Design:
         return exposure.features(read.to(device), budget), budget
 
     @library_defaults()
-    def consistency(self, counts: Any, photons: float, background: Any = 0.0) -> np.ndarray:
+    def consistency(
+        self, counts: Any, photons: float, background: Any = 0.0, all_on: Any = None
+    ) -> np.ndarray:
         """p-values (...) of exposures: small where counts do not look like the training's.
 
         1 sound scene in 200 has less than 0.005.
@@ -289,7 +291,10 @@ class Design:
         photons : float
             Budget Φ of each exposure.
         background : float or array, broadcastable to the counts of an exposure
-            Counts that were subtracted from each readout. Default: 0.
+            Counts that were subtracted from each readout, or their variance beyond that of the
+            scene's photons. Default: 0.
+        all_on : array, shape (...), optional
+            Counts of an all-ON frame as long as the exposure, less its background.
 
         Raises
         ------
@@ -308,8 +313,13 @@ class Design:
         noise = np.broadcast_to(np.asarray(background, dtype=float), self.counts_shape)
         flat = read.double().numpy().reshape(-1, *self.counts_shape)
         rows = self.mask_exposure.scene_readouts(flat, photons, noise)
-        misfit = self.scene_model.misfit(rows)
-        p_values = self.usual_misfit.p_values(misfit, 1, photons, self.scene_model.light(rows))
+        model = self.scene_model
+        lights = [model.light(rows, self.usual_misfit.light[-1])]
+        if all_on is not None:
+            gain = photons / self.summed_reflectance
+            frame = SceneReadouts.all_on(np.ravel(all_on), gain, 0.0, model.means.shape[1])
+            lights.append(model.light(frame, self.usual_misfit.light[0]))
+        p_values = self.usual_misfit.p_values(model.misfit(rows), 1, photons, *lights)
         return p_values.reshape(exposures)
 
     def readouts(self, rails: np.ndarray) -> np.ndarray:

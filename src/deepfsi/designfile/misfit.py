@@ -3,8 +3,8 @@
 Two statistics compare them. The *misfit* is a squared distance of the counts from those that scenes
 of the training would give: from those of the nearest class for masks that are known before, from
 the posterior's prediction before each look for adaptive masks. The *light* is all counts over those
-of the mean scene: those behind all masks, or of an all-ON frame for adaptive ones. Both are
-compared with training scenes that were left out, so that 1 sound scene in 200 is unlike.
+of the mean scene, of an all-ON frame or behind all masks. They are compared with those of training
+scenes, left out of what the misfit is measured by, so that 1 sound scene in 200 is unlike.
 """
 
 from collections.abc import Mapping
@@ -32,6 +32,7 @@ class SceneLight(NamedTuple):
     share: np.ndarray  # (...)
     spread: float  # relative standard deviation of scenes
     noise: float  # standard deviation of the share, by photons
+    usual: np.ndarray  # (2,), shares of the dimmest and the brightest scene of the training
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,33 +41,37 @@ class UsualMisfit:
 
     budgets: np.ndarray  # (B,)
     logarithms: np.ndarray  # (2, B, K): mean and standard deviation of the misfit's logarithm
-    light: np.ndarray  # (2,), of the dimmest and the brightest scene over that of the mean one
+    # (L, 2): light of the dimmest and the brightest scene over that of the mean one, in an all-ON
+    # frame, and behind all masks that are known before
+    light: np.ndarray
 
     @classmethod
-    def of(cls, budgets: np.ndarray, misfits: np.ndarray, light: np.ndarray) -> "UsualMisfit":
-        """Usual misfit (B, K, S) of scenes after each look: its logarithm is near normal."""
+    def of(cls, budgets: np.ndarray, misfits: np.ndarray, *lights: np.ndarray) -> "UsualMisfit":
+        """Usual misfit (B, K, S) after each look, its logarithm near normal, and lights (n,)."""
         logs = np.log(misfits.clip(min=SMALLEST))
         moments = np.stack([logs.mean(axis=-1), logs.std(axis=-1, ddof=1)])
-        return cls(budgets, moments, np.array([light.min(), light.max()]) / light.mean())
+        light = np.array([[light.min(), light.max()] / light.mean() for light in lights])
+        return cls(budgets, moments, light)
 
     @classmethod
     def restored(cls, arrays: Mapping[str, np.ndarray], looks: int) -> "UsualMisfit":
         """Misfit from a file, or `ValueError` if it is damaged."""
         # files of earlier versions have no light: no scene is too bright or too dim for them
-        misfit = cls(**{"light": np.array([0, np.inf]), **arrays})
+        misfit = cls(**{"light": np.array([[0, np.inf]]), **arrays})
         budgets = len(MISFIT_BUDGETS)
         shapes = [array.shape for array in vars(misfit).values()]
         numbers = np.append(misfit.budgets, misfit.logarithms)
-        fits = shapes == [(budgets,), (2, budgets, looks), (2,)] and numbers.dtype == np.float64
+        known = shapes[:2] == [(budgets,), (2, budgets, looks)] and shapes[2][1:] == (2,)
+        fits = known and numbers.dtype == np.float64
         rises = fits and np.diff(misfit.budgets, prepend=0).min() > 0
         if not (rises and misfit.logarithms[1].min() > 0 and np.isfinite(numbers).all()):
             raise ValueError("the misfit is of another design")
         return misfit
 
     def p_values(
-        self, misfit: np.ndarray, looks: np.ndarray | int, photons: float, light: SceneLight
+        self, misfit: np.ndarray, looks: np.ndarray | int, photons: float, *lights: SceneLight
     ) -> np.ndarray:
-        """Share of sound exposures (s,) of a larger misfit, or of light further from usual."""
+        """Share of sound exposures (s,) of a larger misfit, or of a light further from usual."""
         from scipy.special import ndtr
 
         # beyond the measured budgets the misfit of the nearest one holds
@@ -74,11 +79,13 @@ class UsualMisfit:
         below = min(int(row), len(self.budgets) - 2)
         moments = self.logarithms[:, below] * (below + 1 - row)
         mean, deviation = (moments + self.logarithms[:, below + 1] * (row - below))[:, looks - 1]
-        by_misfit = ndtr((mean - np.log(np.maximum(misfit, SMALLEST))) / deviation)
-        spread = np.sqrt(np.log1p(light.spread**2 + light.noise**2))
-        by_light = 2 * ndtr(-np.abs(np.log(np.maximum(light.share, SMALLEST))) / spread)
-        # few scenes tell no tail, and many have one that is not normal: both must be passed
-        dimmest, brightest = self.light + 3 * light.noise * np.array([-1, 1])
-        usual = (dimmest <= light.share) & (light.share <= brightest)
-        # the smaller of two p-values, doubled (Bonferroni)
-        return np.minimum(1.0, 2 * np.minimum(by_misfit, np.where(usual, 1.0, by_light)))
+        p_values = [ndtr((mean - np.log(np.maximum(misfit, SMALLEST))) / deviation)]
+        for light in lights:
+            spread = np.sqrt(np.log1p(light.spread**2 + light.noise**2))
+            p_value = 2 * ndtr(-np.abs(np.log(np.maximum(light.share, SMALLEST))) / spread)
+            # few scenes tell no tail, and many have one that is not normal: both must be passed
+            dimmest, brightest = light.usual + 3 * light.noise * np.array([-1, 1])
+            usual = (dimmest <= light.share) & (light.share <= brightest)
+            p_values.append(np.where(usual, 1.0, p_value))
+        # the smallest of all, times their number (Bonferroni)
+        return np.minimum(1.0, len(p_values) * np.minimum.reduce(p_values))

@@ -211,8 +211,8 @@ class SceneModel:
             distances.append((squares - (solved**2).sum(axis=1)).min(axis=1))
         return np.concatenate(distances)
 
-    def light(self, rows: SceneReadouts) -> SceneLight:
-        """Light of scenes in all readouts, over that of the mean scene."""
+    def light(self, rows: SceneReadouts, usual: np.ndarray) -> SceneLight:
+        """Light of scenes in all readouts, over that of the mean scene; `usual` (2,) as there."""
         mask = rows.masks.sum(axis=0)
         expected = mask @ self.mean
         between = (np.asarray(self.means, float) - self.mean) @ mask
@@ -223,6 +223,7 @@ class SceneModel:
             share=rows.counts.sum(axis=1) / expected,
             spread=float(np.sqrt(variance) / expected),
             noise=float(noise / expected),
+            usual=usual,
         )
 
     @classmethod

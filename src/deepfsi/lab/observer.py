@@ -196,8 +196,9 @@ class SceneObserver:
         dark = self._light.dark[inputs].sum() * shares * self._exposure_ns * 1e-9
         lit = sum(end.photons[0, inputs].sum() for end in ends) - dark
         gain = photons * shares / self._exposure.summed_reflectance
-        light = SceneReadouts.all_on(np.array([lit]), gain, max(dark, 0.0), model.means.shape[1])
-        p_value = usual.p_values(np.array([misfit]), looks, photons, model.light(light))
+        frame = SceneReadouts.all_on(np.array([lit]), gain, max(dark, 0.0), model.means.shape[1])
+        light = model.light(frame, usual.light[0])
+        p_value = usual.p_values(np.array([misfit]), looks, photons, light)
         return self._test.find_unlike(scene, self._scenes, float(p_value[0]))[0]
 
 

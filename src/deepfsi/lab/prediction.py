@@ -99,6 +99,7 @@ def predict(
 
     from deepfsi.evaluation.accuracy import camera_for
     from deepfsi.exposure.training_set import check_classes
+    from deepfsi.physics.noise import noise_of
     from deepfsi.physics.surroundings import library_defaults
 
     source: Path | np.ndarray
@@ -118,18 +119,22 @@ def predict(
         budget = check_budget(photons)
         shown = design_scenes(design.info, design.image_shape, source)
         scenes = np.ascontiguousarray(shown.x.reshape(len(shown.x), -1))
+        light = scenes.sum(axis=1, dtype=float) / design.summed_reflectance
+        all_on = np.random.default_rng([seed, 1]).poisson(budget * light)
         p_values = None
         if design.exposure.makes_masks:
-            generator = torch.Generator().manual_seed(seed)
-            answers, p_values = design.prior_exposure.tested(
-                torch.from_numpy(scenes), budget, tested, generator
+            probabilities, p_values = design.prior_exposure.tested(
+                torch.from_numpy(scenes), budget, tested, seed, all_on
             )
-            probabilities = answers.numpy()
         else:
             counts = design.expose(scenes, budget, seed, tested)
             probabilities = design.classify(counts, budget)
-            if design.usual_misfit is not None:
-                p_values = design.consistency(counts, budget)
+            facts = tested.noise_facts
+            if design.usual_misfit is not None and facts.steady:
+                scanner = design.mask_exposure.scanner(noise_of(tested))
+                dark = scanner.dark_counts(design.rails.count).cpu().numpy()
+                noise = dark.reshape(design.counts_shape) + tested.sigma**2 * facts.read_noise
+                p_values = design.consistency(counts, budget, noise, all_on)
         dim = CountTest(design).find_dim(np.array([budget]))
     best = probabilities.argmax(axis=1)
     labels = shown.labels or [None] * len(shown.names)

@@ -134,7 +134,7 @@ def _usual_misfit(
         for fold, model in zip(folds, others, strict=True):
             readouts = exposure.scene_readouts(counts[fold], budget, 0.0)
             misfits[row, 0, fold] = model.misfit(readouts)
-    return UsualMisfit.of(budgets, misfits, rates.sum(axis=(1, 2)))
+    return UsualMisfit.of(budgets, misfits, scenes.sum(axis=1), rates.sum(axis=(1, 2)))
 
 
 def fold_answers(
