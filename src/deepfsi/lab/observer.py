@@ -161,7 +161,7 @@ class SceneObserver:
         counts = np.concatenate([arrived.photons for arrived in arrivals])
         variance = np.concatenate([arrived.variance for arrived in arrivals])
         dark = self._light.dark * (gates_ns * 1e-9)
-        gain = photons / self._exposure.summed_reflectance * (gates_ns / self._exposure_ns)
+        gain = photons * (gates_ns / self._exposure_ns) / self._exposure.summed_reflectance
         labels = self._exposure.detection.labels
         return self._test.see(
             SceneReadouts.of(
