@@ -1,11 +1,13 @@
-"""A sweep that is killed at random moments, again and again, loses no record and repeats none.
+"""Commands that are killed at random moments, again and again, lose and repeat nothing.
 
-DEEPFSI_KILLS=50 pytest tests/sweeps/test_kills.py kills it more often.
+DEEPFSI_KILLS=50 pytest tests/sweeps/test_kills.py kills them more often.
 """
 
 import json
 import os
 import random
+import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -15,7 +17,10 @@ from typing import Any
 
 import psutil
 import pytest
+from safetensors.numpy import load_file
 
+from deepfsi.datasets.display import write_pictures
+from shared.live_samples import make_patterns
 from shared.trials import left_over, tensors
 from shared.waiting import PATIENCE
 
@@ -121,3 +126,89 @@ def test_a_kill_while_files_are_written_leaves_nothing_and_changes_no_bit(done, 
     done(*sweep(whole, **settings))
     for content in (tensors, records):
         assert content(tmp_path / "out") == content(whole / "out")
+
+
+COMMANDS = {
+    "design": "design --photons 1e4 --masks 3 --epochs 1 --hidden 8 -o out.safetensors",
+    "export": "dmd export hadamard --size 8x8 --dmd 64x48 -o out",
+    "import": "camera import run/photons.ptu --patterns scan --scenes scenes -o out",
+    "live": "camera live patterns --scene scenes --flux 1e7 --exposure 10ms -o out",
+}
+
+KILLED = """
+import os, sys, threading
+from deepfsi.cli import run_command_line
+from deepfsi.training import checkpoint
+left, delay, home = int(sys.argv.pop(1)), float(sys.argv.pop(1)), os.getcwd()
+def count(event, values):
+    global left
+    here = event in ("open", "os.mkdir", "os.rename", "os.rmdir", "os.remove")
+    if here and os.path.abspath(str(values[0])).startswith(home):
+        left -= 1
+        if left == 0:
+            threading.Timer(delay, os.kill, (os.getpid(), 9)).start()
+sys.addaudithook(count)
+checkpoint.CHECKPOINT_SECONDS = 0.0
+try:
+    run_command_line()
+finally:
+    print("files", -left)
+"""
+"""A command line that is killed some time after it opens, moves or removes its n-th file."""
+
+
+@pytest.fixture(scope="module")
+def lab(tmp_path_factory, digits):
+    """Scenes, a scan and its run, and patterns of adaptive masks."""
+    lab = tmp_path_factory.mktemp("lab")
+    make_patterns(lab, digits, photons=1e5)
+    write_pictures({f"{k}.png": digits.x_test[k].reshape(8, 8) for k in range(9)}, lab / "scenes")
+    light = ["--scene", "scenes", "--flux", "1e6", "--exposure", "10ms", "-o", "run"]
+    for words in (["dmd", "export", "hadamard", "--size", "8x8", "--dmd", "64x48", "-o", "scan"],
+                  ["camera", "simulate", "scan", *light]):  # fmt: skip
+        subprocess.run([sys.executable, "-m", "deepfsi", *words], cwd=lab, check=True)
+    return lab
+
+
+def results(lab: Path, log: str = "") -> dict[str, Any]:
+    """What a command wrote under its final name; of a live run, its finished scenes."""
+    if log:
+        lines = (lab / log).read_text().splitlines(keepends=True) if (lab / log).exists() else []
+        scenes = [json.loads(line) for line in lines if line.endswith("\n")]
+        return {str(k): {**scene, "clock_s": 0} for k, scene in enumerate(scenes)}
+    if (design := lab / "out.safetensors").exists():
+        return {name: tensor.tobytes() for name, tensor in load_file(design).items()}
+    files = [path for path in lab.glob("out/**/*") if path.is_file()]
+    return {str(path.relative_to(lab)): path.read_bytes() for path in files}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("command", COMMANDS)
+def test_what_random_kills_leave_is_whole_and_the_command_goes_on(command, lab, tmp_path):
+    """A live run goes on in another folder, and its finished scenes are classified."""
+    chance = random.Random(1)
+    log = "out/shown.jsonl" if command == "live" else ""
+
+    def run(place: Path, files: int, delay: float = 0.0) -> subprocess.CompletedProcess:
+        words = [sys.executable, "-c", KILLED, str(files), str(delay), *COMMANDS[command].split()]
+        return subprocess.run(words, cwd=place, capture_output=True, text=True)
+
+    shutil.copytree(lab, tmp_path / "whole")
+    files = int(re.findall(r"files (\d+)", run(tmp_path / "whole", 0).stdout)[0])
+    whole = results(tmp_path / "whole", log)
+    assert whole
+    killed = shutil.copytree(lab, tmp_path / "killed")
+    for _ in range(KILLS):
+        ended = run(killed, chance.randint(1, files), chance.choice((0, chance.uniform(0, 0.1))))
+        assert ended.returncode in (0, -signal.SIGKILL), ended.stderr
+        kept = results(killed, log)
+        assert kept == ({key: whole[key] for key in kept} if log else kept and whole)
+        if log and kept:
+            words = [sys.executable, "-m", "deepfsi", "camera", "classify", "patterns", "out"]
+            told = subprocess.run([*words, "--json"], cwd=killed, capture_output=True, check=True)
+            assert len(json.loads(told.stdout)["scenes"]) == len(kept)
+        if kept or log:  # else it goes on with what was left
+            shutil.rmtree(killed / "out", ignore_errors=True)
+            (killed / "out.safetensors").unlink(missing_ok=True)
+    assert not run(killed, 0).returncode
+    assert results(killed, log) == whole

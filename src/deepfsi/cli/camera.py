@@ -5,7 +5,8 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
-from deepfsi.base.errors import InputError, as_input_error
+from deepfsi.base.errors import InputError
+from deepfsi.base.files import new_folder
 from deepfsi.base.models import Count, Seconds, WholeNumber
 from deepfsi.camera.camera import PRESETS, Camera
 from deepfsi.camera.device import find_device
@@ -149,9 +150,8 @@ class ExportPatterns(Command):
         told = {} if self.dmd is None else {"device": self.dmd}
         camera = camera_of(source, self.settings | told)
         device = camera.device or find_device("dlp7000")
-        with as_input_error():
-            turned = self.model_dump(include={"flip", "rotate", "invert"})
-            layout = DmdLayout.model_validate(camera.layout.model_dump() | turned)
+        turned = self.model_dump(include={"flip", "rotate", "invert"})
+        layout = DmdLayout.model_validate(camera.layout.model_dump() | turned)
         dwell = rails.picture_s(device, camera.exposure) if self.dwell is None else self.dwell
         planned = Patterns.from_rails(
             rails,
@@ -160,11 +160,11 @@ class ExportPatterns(Command):
             format=self.kind or ("planes" if device.packed else "npy"),  # type: ignore[arg-type]
             layout=layout,
         )
-        with terminal.progress("patterns") as report:
-            patterns = planned.write(self.out, report)
-        write_reference(patterns.manifest, self.out)
-        if str(source) in SCAN_NAMES:
-            write_spots(self.out / "spots")
+        with new_folder(self.out) as draft, terminal.progress("patterns") as report:
+            patterns = planned.fill(draft, report)
+            write_reference(patterns.manifest, draft)
+            if str(source) in SCAN_NAMES:
+                write_spots(draft / "spots")
         return _patterns_in(self.out, patterns)
 
 

@@ -103,6 +103,11 @@ class Patterns:
 
     def write(self, folder: str | os.PathLike[str], progress: Progress = SILENT) -> Self:
         """Write the frames into a new folder, all or none; gives the patterns with their hashes."""
+        with new_folder(folder) as draft:
+            return replace(self.fill(draft, progress), folder=Path(folder))
+
+    def fill(self, folder: Path, progress: Progress = SILENT) -> Self:
+        """Write the frames into an empty folder; gives the patterns with their hashes."""
         manifest = self.manifest
         total = len(manifest.frames)
         hashes: list[str] = []
@@ -114,25 +119,24 @@ class Patterns:
                 yield frame
                 progress(len(hashes) / total)
 
-        with new_folder(folder) as draft:
-            FRAME_FORMATS[manifest.format].write(draft, hashed(), total, manifest.device)
-            shown = tuple(
-                frame.model_copy(update={"sha256": digest})
-                for frame, digest in zip(manifest.frames, hashes, strict=True)
-            )
-            manifest = manifest.model_copy(update={"frames": shown})
-            digest = _digest(manifest.model_dump_json())
-            manifest = manifest.model_copy(update={"sha256": digest})
-            mirrors = np.ascontiguousarray(self.on, "<u4")
-            # numpy.save loses what a disk cannot take
-            with (draft / "mirrors.npy").open("wb") as file:
-                file.write(npy_header("<u4", mirrors.shape))
-                file.write(mirrors.data)
-            if self.design is not None:
-                (draft / self.DESIGN).write_bytes(self.design)
-            (draft / "manifest.json").write_bytes(manifest.model_dump_json(indent=1).encode())
-            (draft / "patterns.csv").write_bytes(_table(manifest).encode())
-        return replace(self, manifest=manifest, folder=Path(folder))
+        FRAME_FORMATS[manifest.format].write(folder, hashed(), total, manifest.device)
+        shown = tuple(
+            frame.model_copy(update={"sha256": digest})
+            for frame, digest in zip(manifest.frames, hashes, strict=True)
+        )
+        manifest = manifest.model_copy(update={"frames": shown})
+        digest = _digest(manifest.model_dump_json())
+        manifest = manifest.model_copy(update={"sha256": digest})
+        mirrors = np.ascontiguousarray(self.on, "<u4")
+        # numpy.save loses what a disk cannot take
+        with (folder / "mirrors.npy").open("wb") as file:
+            file.write(npy_header("<u4", mirrors.shape))
+            file.write(mirrors.data)
+        if self.design is not None:
+            (folder / self.DESIGN).write_bytes(self.design)
+        (folder / "manifest.json").write_bytes(manifest.model_dump_json(indent=1).encode())
+        (folder / "patterns.csv").write_bytes(_table(manifest).encode())
+        return replace(self, manifest=manifest, folder=folder)
 
     @classmethod
     def read(cls, folder: str | os.PathLike[str]) -> Self:
