@@ -2,6 +2,7 @@
 
 import signal
 import sys
+import warnings
 from typing import NoReturn
 
 
@@ -17,6 +18,9 @@ def main() -> NoReturn:
         signal.pthread_sigmask(signal.SIG_SETMASK, usual)
     from deepfsi.cli import run_command_line
 
+    # NumPy's warnings of numbers that are refused then; `sys.warnoptions` are for workers
+    warnings.simplefilter("ignore", RuntimeWarning)
+    sys.warnoptions.append("ignore::RuntimeWarning")
     try:
         run_command_line()
     except KeyboardInterrupt:  # before the command's own handler

@@ -115,6 +115,7 @@ REFUSED = {
     f"camera simulate run/patterns {FAST}": """
         --scene nosuch | no picture at nosuch
         --scene few --virtual eye | unknown camera 'eye'
+        --scene few --dark 1e30 | dark = 1e+30: give 1e+12 or less
     """,
 }
 """Command line, what follows it, and what the refusal names."""

@@ -18,7 +18,7 @@ from pydantic import BeforeValidator, ConfigDict, ValidationError
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
-from deepfsi.base.errors import InputError, field_errors
+from deepfsi.base.errors import InputError, as_input_error, field_errors
 from deepfsi.base.interrupts import STOPPED_EXIT_CODE
 from deepfsi.base.models import StrictModel
 from deepfsi.base.quantities import seconds
@@ -93,7 +93,8 @@ class ClickCommand(click.Command):
     def invoke(self, ctx: click.Context) -> None:
         """Run the command; an error names settings as options."""
         try:
-            self._run(ctx)
+            with as_input_error():  # of what the options make, such as a virtual camera
+                self._run(ctx)
         except InputError as error:
             raise InputError(self._with_options(str(error))) from error
 

@@ -49,7 +49,7 @@ class Terminal:
 
     def ask(self, what: str) -> None:
         """Ask someone to do something, and wait until it is done."""
-        print(f"{what}, then press Enter", file=sys.stderr, flush=True)
+        print(f"{one_line(what)}, then press Enter", file=sys.stderr, flush=True)
         if not sys.stdin.readline():
             raise InputError("nobody is there to show the scenes: run this in a terminal")
 

@@ -303,8 +303,7 @@ def camera_of(source: Path, settings: Mapping[str, Any] = MappingProxyType({})) 
     file = next((file for file in files if file.is_file()), source)
     camera = None
     if file.is_file():
-        with suppress(InputError):  # whoever opens the design says what is wrong with it
-            camera = trained_camera(DesignFile.read(file, ()).header.info)
+        camera = trained_camera(DesignFile.read(file, ()).header.info)
     return Camera.of_run(camera, **settings)
 
 
