@@ -4,11 +4,15 @@ import io
 import json
 import os
 import struct
+import subprocess
+import sys
 import zipfile
 import zlib
+from datetime import date
 from pathlib import Path
 
 import numpy as np
+import polars
 import pytest
 from PIL import Image, PngImagePlugin
 from scipy.io import savemat
@@ -16,10 +20,13 @@ from scipy.linalg import hadamard
 
 from deepfsi.base.errors import InputError
 from deepfsi.base.files import read_toml
+from deepfsi.cli.terminal import Terminal
 from deepfsi.jobs.designs import read_matrix
 from fuzz.readers import READERS, copied
 from fuzz.worker import MOST_BYTES, fault_of
 from shared.design_files import rewrite
+
+NAN, INF = float("nan"), float("inf")
 
 
 def refused(name: str, path: Path, match: str, most_bytes: float = MOST_BYTES) -> None:
@@ -170,6 +177,34 @@ def test_a_bomb(tmp_path):
     refused("npz", path, "would unpack")
 
 
+def test_bombs_of_matlab_and_of_tables(tmp_path):
+    """Twice as many zeros as are read, of one variable, of twenty, of rows: it took 7 GB."""
+    zeros = np.zeros((2**12, 2**13))
+    savemat(tmp_path / "one.mat", {"x": zeros}, do_compression=True)
+    few = {f"x{k}": zeros[: 2**12 // 10] for k in range(20)}
+    savemat(tmp_path / "many.mat", few, do_compression=True)
+    for name in ("one", "many"):
+        refused("mat masks", tmp_path / f"{name}.mat", "unpacks to far more")
+    polars.DataFrame({"x": zeros[0]}).write_parquet(tmp_path / "x.parquet")
+    assert not fault_of("parquet", tmp_path / "x.parquet")
+    rows = polars.repeat(0, 2**25, dtype=polars.Int8, eager=True)
+    polars.DataFrame({"x": rows}).write_parquet(tmp_path / "x.parquet")
+    refused("parquet", tmp_path / "x.parquet", "would unpack", 300e6)
+
+
+@pytest.mark.parametrize("cell", [b"x", [1], {"x": 1}, date(2000, 1, 1)])
+def test_cells_that_are_no_numbers_and_no_names(cell, tmp_path):
+    polars.DataFrame({"scene": [cell], "x": [1]}).write_parquet(tmp_path / "x.parquet")
+    refused("parquet", tmp_path / "x.parquet", "no numbers and no names")
+
+
+@pytest.mark.parametrize("values", [(7, 7), (-1e308, 1e308), (1e38, 3e38), (0, 1e-320), (0, NAN)])
+def test_spectra_whose_range_is_none(values, sample):
+    path = sample("npy cube")
+    np.save(path, np.resize(values, np.load(path).shape))
+    refused("npy cube", path, "different finite numbers")
+
+
 def huge_png() -> bytes:
     """The head of a PNG file of 3.6 billion pixels, and a little of its data."""
     out = io.BytesIO(b"\x89PNG\r\n\x1a\n")
@@ -235,9 +270,40 @@ def test_settings_that_are_longer_than_any(tmp_path):
         read_toml(tmp_path / "x.toml")
 
 
+@pytest.mark.parametrize("field", ["device", "detectors", "flux", "levels"])
+@pytest.mark.parametrize("digits", ["0x" + "f" * 5000, "0o" + "7" * 5000, "0b" + "1" * 20_000])
+def test_numbers_that_python_does_not_write(field, digits, sample):
+    path = sample("camera")
+    path.write_text(f"{field} = {digits}")
+    refused("camera", path, field)
+
+
+def test_a_command_line_says_nothing_of_numpys(samples, tmp_path):
+    """Counts beyond float32 were a warning of two lines before the refusal."""
+    np.save(tmp_path / "x.npy", np.full((1, 4), 1e308))
+    design, table = samples / "fixed.safetensors", tmp_path / "x.npy"
+    words = ["camera", "classify", design, table, "--photons", "1e4", "--background", "0"]
+    words = [sys.executable, "-m", "deepfsi", *words]
+    ended = subprocess.run(words, capture_output=True, text=True)
+    assert (ended.returncode, ended.stdout, ended.stderr.count("\n")) == (2, "", 1), ended.stderr
+    assert ended.stderr.startswith("deepfsi: counts must be finite")
+
+
+def test_the_name_of_a_scene_that_a_person_shows_is_no_command(monkeypatch, capsys):
+    monkeypatch.setattr(sys, "stdin", io.StringIO("\n"))
+    Terminal(as_json=False).ask("show \x1b[31ma\x9b\u202eb")
+    assert capsys.readouterr().err == "show  [31ma  b, then press Enter\n"
+
+
+def test_a_damaged_design_is_no_camera(refuse, tmp_path):
+    """It was described as the preset `dmd`."""
+    design = tmp_path / "x.safetensors"
+    design.write_bytes(b"x" * 99)
+    assert "x.safetensors is not a whole" in refuse("camera", "describe", design)
+
+
 FIRST = ("points", 0)
 RERUN = "run the comparison again"
-NAN, INF = float("nan"), float("inf")
 
 
 @pytest.mark.parametrize(

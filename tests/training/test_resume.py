@@ -1,9 +1,14 @@
 """The law of checkpoints: a resumed training ends in the bits of one that was never stopped."""
 
+import hashlib
+import io
+import pickle
+import zipfile
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
+import torch
 
 from conftest import RECIPE
 from deepfsi.base.errors import InputError
@@ -126,6 +131,15 @@ def damages(path: Path):
     yield from (content[: len(content) // 2], b"", b"photons")
     for place in (20, len(content) // 2, len(content) - 3):
         yield content[:place] + bytes([content[place] ^ 1]) + content[place + 1 :]
+    bomb = io.BytesIO()
+    sound = zipfile.ZipFile(io.BytesIO(content[32:]))
+    with zipfile.ZipFile(bomb, "w", zipfile.ZIP_DEFLATED) as packed:
+        for name in sound.namelist():
+            packed.writestr(name, sound.read(name) + bytes(10**6))
+    strange = io.BytesIO()
+    torch.save({"key": "x"}, strange)
+    for made in (bomb.getvalue(), strange.getvalue(), pickle.dumps(print), b""):
+        yield hashlib.sha256(made).digest() + made
 
 
 def test_a_damaged_checkpoint_is_named(few, stopped):

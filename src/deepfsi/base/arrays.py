@@ -124,16 +124,20 @@ def _read_mat(path: Path) -> dict[str, npt.NDArray[Any]]:
 
 
 def _check_mat(content: bytes) -> None:
-    """Raise `ValueError` for elements of an unknown type, at which scipy ends the process."""
+    """Raise `ValueError` for a bomb, and for an element at whose type scipy ends the process."""
     # 128 bytes of header, then variables. They and their elements begin with type and length
     order = {b"IM": "<", b"MI": ">"}.get(content[126:128], "")
     start = 128
+    most = 8 * (2**24 + UNPACKED_RATIO * len(content))  # of numbers of 8 bytes
     while order and start + 8 <= len(content):
         kind, length = struct.unpack_from(f"{order}II", content, start)
         start += 8
         variable = content[start : start + length]
         if kind == 15:  # compressed, with another tag of 8 bytes
-            variable = zlib.decompressobj().decompress(variable, UNPACKED_RATIO * len(content))[8:]
+            variable = zlib.decompressobj().decompress(variable, most)[8:]
+            most -= len(variable)
+            if most <= 8:
+                raise ValueError("it unpacks to far more than its size explains")
         _check_elements(variable, order)
         start += length
 

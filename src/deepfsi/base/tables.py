@@ -17,7 +17,7 @@ import numpy as np
 
 from deepfsi.base.arrays import read_array, split_variable
 from deepfsi.base.errors import InputError
-from deepfsi.base.files import open_regular, read_text
+from deepfsi.base.files import check_unpacked, open_regular, read_text
 
 if TYPE_CHECKING:
     import polars as pl
@@ -105,8 +105,16 @@ def _read(source: str | Path) -> "tuple[Path, tuple[str, ...], pl.DataFrame]":
     if suffix in TEXT_ENDINGS:
         names, frame = _read_text(path)
     elif suffix == ".parquet":
-        with _as_table(path), open_regular(path, LARGEST_TABLE_FILE, "give a .parquet file"):
-            frame = pl.read_parquet(path)
+        advice = "give a .parquet file of numbers and names"
+        with _as_table(path), open_regular(path, LARGEST_TABLE_FILE, advice):
+            table = pl.scan_parquet(path)
+            kinds = table.collect_schema().dtypes()
+            if any(kind.is_nested() or kind.is_temporal() or kind == pl.Binary for kind in kinds):
+                raise InputError(f"{path} has cells that are no numbers and no names: {advice}")
+            cells = table.select(pl.len()).collect().item() * len(kinds)
+            check_unpacked(cells, path.stat().st_size, str(path), advice)
+            named = pl.col(pl.Categorical, pl.Enum).cast(pl.String)
+            frame = table.with_columns(named).collect()
         names = tuple(frame.columns)
     else:
         # A vector is one exposure; MATLAB's arrays have two dimensions or more

@@ -167,12 +167,14 @@ class Camera(UserModel):
     flux: float | None = Field(
         default=None,
         gt=0,
+        le=1e30,
         allow_inf_nan=False,
         description="counts/s with all mirrors of the region ON, for the mean scene",
     )
     dark: float = Field(
         default=0.0,
         ge=0,
+        le=1e30,
         allow_inf_nan=False,
         description="dark counts/s of a detector; in an exposure, where no time is given",
     )
@@ -405,9 +407,9 @@ def _fields(source: CameraSource) -> dict[str, Any]:
     path = Path(name)
     fields = read_toml(path)
     for field in ("detectors", "device"):  # files are named from where the camera's file is
-        name = str(fields.get(field))
-        if name.lower().endswith((".npy", ".toml")):
-            fields[field] = str(path.parent / name)
+        file = fields.get(field)
+        if isinstance(file, str) and file.lower().endswith((".npy", ".toml")):
+            fields[field] = str(path.parent / file)
     return fields
 
 

@@ -45,11 +45,12 @@ class SpectralImage:
         labels = self.labels
         fits = cube.ndim == 3 and cube.size and labels.shape == cube.shape[:2]
         labelled = labels.dtype.kind in "ui" and len(self.present) > 1
-        if not (fits and labelled and np.isfinite(cube).all()):
+        # False of NaN; float32 holds the range
+        if not (fits and labelled and 1e-30 < float(cube.max()) - float(cube.min()) < 1e30):
             raise InputError(
                 f"{self.name}: the cube is of shape {cube.shape}, the label map {labels.dtype} of "
-                f"shape {labels.shape}; give (height, width, bands) without NaN, and integers "
-                "(height, width) of two classes or more, 0 where there is no label"
+                f"shape {labels.shape}; give (height, width, bands) of different finite numbers, "
+                "and integers (height, width) of two classes or more, 0 where there is no label"
             )
 
     @cached_property

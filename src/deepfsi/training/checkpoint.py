@@ -11,6 +11,7 @@ import json
 import os
 import time
 import warnings
+import zipfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -132,16 +133,24 @@ class Checkpoint:
         assert self.path is not None
         advice = "give the path of a checkpoint, or of a new file"
         content = read_regular(self.path, LARGEST_TENSORS, advice)
-        if content[:DIGEST] != hashlib.sha256(content[DIGEST:]).digest():
-            raise InputError(f"{self.path} is damaged: remove it, and the training begins anew")
-        stored = torch.load(io.BytesIO(content[DIGEST:]), map_location="cpu", weights_only=True)
-        if stored["key"] != self.key:
+        file = io.BytesIO(content[DIGEST:])
+        try:
+            unpacked = sum(entry.file_size for entry in zipfile.ZipFile(file).infolist())
+            changed = content[:DIGEST] != hashlib.sha256(content[DIGEST:]).digest()
+            if changed or unpacked > len(content):  # torch compresses nothing
+                raise ValueError
+            file.seek(0)
+            stored = torch.load(file, map_location="cpu", weights_only=True)
+            key, title = stored["key"], stored["title"]
+            self.seconds, self._before = stored["seconds"], stored["loops"]
+        except Exception:  # torch raises almost anything on a damaged file
+            again = "remove it, and the training begins anew"
+            raise InputError(f"{self.path} is damaged: {again}") from None
+        if key != self.key:
             raise InputError(
-                f"{self.path} is of another training ({stored['title']}; other settings, data, "
-                "torch or device): resume that one, or remove the file to begin anew"
+                f"{self.path} is of another training ({title}; other settings, data, torch or "
+                "device): resume that one, or remove the file to begin anew"
             )
-        self.seconds = stored["seconds"]
-        self._before = stored["loops"]
 
     @contextmanager
     def of_loop(self, loop: LoopState) -> Iterator[None]:
