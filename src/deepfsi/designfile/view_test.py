@@ -207,8 +207,9 @@ class SceneModel:
         for start in range(0, len(rows.counts), EXPOSURES_AT_ONCE):
             block = replace(rows, counts=rows.counts[start : start + EXPOSURES_AT_ONCE])
             precision, projections, squares = _distances(*known, block)
-            solved = np.linalg.solve(np.linalg.cholesky(precision), projections.swapaxes(1, 2))
-            distances.append((squares - (solved**2).sum(axis=1)).min(axis=1))
+            factor = np.linalg.inv(np.linalg.cholesky(precision))  # one for all scenes
+            solved = projections @ factor.swapaxes(1, 2)
+            distances.append((squares - (solved**2).sum(axis=2)).min(axis=1))
         return np.concatenate(distances)
 
     def light(self, rows: SceneReadouts, usual: np.ndarray) -> SceneLight:

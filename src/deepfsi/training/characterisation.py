@@ -111,7 +111,7 @@ def _model_counts(
         design.scene_model = model
         # readouts of a frame share noise under unsteady light, which the test lacks
         if not design.camera.fluctuation:
-            fewer = len(sample_scenes(len(scenes), prod(design.counts_shape)))
+            fewer = min(2048, len(sample_scenes(len(scenes), prod(design.counts_shape))))
             misfit = _usual_misfit(design, job.photons, scenes[:fewer], labels[:fewer])
             design.usual_misfit = misfit
 
