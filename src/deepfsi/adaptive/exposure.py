@@ -252,12 +252,14 @@ class AdaptiveExposure(ExposureKind):
 
     def tested(
         self, scenes: Tensor, photons: float, camera: Camera, seed: int, all_on: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray | None]:
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Probabilities (n, C) of exposures of scenes (n, N), and p-values (n,) of their counts.
 
-        `all_on` (n,) are the counts of all-ON frames. There are no p-values without the usual
-        misfit, or a model of the scenes.
+        `all_on` (n,) are the counts of all-ON frames.
         """
+        model = self.prior.model
+        assert self.usual_misfit is not None
+        assert model is not None
         generator = torch.Generator().manual_seed(seed)
         optics = self.optics_at(photons, camera)
         runs = [
@@ -265,9 +267,6 @@ class AdaptiveExposure(ExposureKind):
             for x in scenes.split(self.prior.exposed_at_once)
         ]
         probabilities = torch.cat([run.probabilities for run in runs]).numpy()
-        model = self.prior.model
-        if self.usual_misfit is None or model is None:
-            return probabilities, None
         gain = photons / self.summed_reflectance
         rows = SceneReadouts.all_on(all_on, gain, 0.0, scenes.shape[1])
         light = model.light(rows, self.usual_misfit.light[0])

@@ -100,7 +100,7 @@ def _live_answers(design: Path, run: Recording, trust: bool) -> ClassifiedRun:
     if len(scenes) < len(log) or not sizes <= {0, len(opened.classes)}:
         raise InputError(f"{run.folder / LOG} does not fit the run's settings: it was changed")
     trained = was_trained_on(opened.training_scenes, [scene.hash for scene in scenes])
-    tested = opened.prior_exposure.usual_misfit is not None
+    tested = CountTest(opened).usual is not None
     return ClassifiedRun(
         title="a live run, as it was decided",
         noun="scene",
@@ -233,7 +233,7 @@ def _classify_counts(
     noise = counts.background.clip(min=0) * number + counts.excess.sum(axis=1, where=exposures)
     noise = design.readouts(noise)
     light = budgets * usable.sum(axis=1)
-    tested = design.usual_misfit is not None
+    tested = test.usual is not None
     unlike: list[bool | None] = [None] * len(scenes)
     view = None
     for scene in np.flatnonzero(light).tolist():

@@ -13,7 +13,7 @@ import numpy as np
 from deepfsi.camera.light import TOO_DIM
 from deepfsi.counting.checks import Fault
 from deepfsi.counting.counts import Counts
-from deepfsi.designfile.misfit import FALSE_ALARM
+from deepfsi.designfile.misfit import FALSE_ALARM, UsualMisfit
 from deepfsi.designfile.view_test import SceneModel, SceneReadouts, ViewResult, ViewTest
 
 if TYPE_CHECKING:  # it imports torch, which the command line loads late
@@ -37,6 +37,14 @@ class CountTest:
             return None
         made = design.exposure.makes_masks
         return design.prior_exposure.prior.model if made else design.scene_model
+
+    @cached_property
+    def usual(self) -> UsualMisfit | None:
+        """Misfit that counts are compared with; None if they are not tested."""
+        if self.model is None:
+            return None
+        made = self._design.exposure.makes_masks
+        return (self._design.prior_exposure if made else self._design).usual_misfit
 
     @cached_property
     def _view(self) -> ViewTest | None:

@@ -146,7 +146,7 @@ class LiveRun:
                 log.write(f"{logged.model_dump_json()}\n".encode())
                 note_saved_work("finished scenes are kept")
                 [trained] = was_trained_on(design.training_scenes, [scene.hash])
-                tested = design.prior_exposure.usual_misfit is not None
+                tested = observer.test.usual is not None
                 answer = logged.answer(scene, design.classes, trained, tested)
                 yield replace(decision, answer=replace(answer, photons=decision.photons))
             setup.counter.stop()

@@ -53,7 +53,7 @@ class SceneObserver:
         self._exposure_ns = round(acquisition.exposure_s * 1e9)
         self._scenes = len(acquisition.scenes)
         self._light = LightMonitor(manifest, acquisition.inputs, self._scenes)
-        self._test = CountTest(design)
+        self.test = CountTest(design)
         self._ends = _scene_ends(manifest, acquisition.settle_s)
 
     def observe(self, scene: int, count: Callable[[FrameList], np.ndarray]) -> Iterator[Decision]:
@@ -86,7 +86,7 @@ class SceneObserver:
             yield decision
         end = self._arrivals(count, self._ends)
         faults = self._light.end([begin, *arrivals, end])
-        doubts = self._test.find_dim(np.array([photons]), first=scene)
+        doubts = self.test.find_dim(np.array([photons]), first=scene)
         doubts += self._find_unlike(scene, [begin, end])
         view = None
         # With other faults the counts tell nothing of how the camera sees scenes
@@ -163,7 +163,7 @@ class SceneObserver:
         dark = self._light.dark * (gates_ns * 1e-9)
         gain = photons * (gates_ns / self._exposure_ns) / self._exposure.summed_reflectance
         labels = self._exposure.detection.labels
-        return self._test.see(
+        return self.test.see(
             SceneReadouts.of(
                 gain[..., None] * np.stack([lit, 1 - lit][: len(arms)], axis=1),
                 (counts - dark)[None],
@@ -176,8 +176,8 @@ class SceneObserver:
     @library_defaults(grad=False)
     def _find_unlike(self, scene: int, ends: list[Arrivals]) -> list[Fault]:
         """Faults of counts that do not look like the training's, all-ON frames at both ends too."""
-        usual = self._exposure.usual_misfit
-        model = self._test.model
+        usual = self.test.usual
+        model = self.test.model
         if usual is None or model is None:
             return []
         looks = len(self._masks)
@@ -199,7 +199,7 @@ class SceneObserver:
         frame = SceneReadouts.all_on(np.array([lit]), gain, max(dark, 0.0), model.means.shape[1])
         light = model.light(frame, usual.light[0])
         p_value = usual.p_values(np.array([misfit]), looks, photons, light)
-        return self._test.find_unlike(scene, self._scenes, float(p_value[0]))[0]
+        return self.test.find_unlike(scene, self._scenes, float(p_value[0]))[0]
 
 
 def _scene_ends(manifest: Manifest, settle_s: float) -> FrameList:

@@ -98,6 +98,7 @@ def predict(
     import torch
 
     from deepfsi.evaluation.accuracy import camera_for
+    from deepfsi.exposure.kind import EXPOSED_AT_ONCE
     from deepfsi.exposure.training_set import check_classes
     from deepfsi.physics.noise import noise_of
     from deepfsi.physics.surroundings import library_defaults
@@ -121,21 +122,28 @@ def predict(
         scenes = np.ascontiguousarray(shown.x.reshape(len(shown.x), -1))
         light = scenes.sum(axis=1, dtype=float) / design.summed_reflectance
         all_on = np.random.default_rng([seed, 1]).poisson(budget * light)
+        test = CountTest(design)
         p_values = None
-        if design.exposure.makes_masks:
+        if test.usual is None or not tested.noise_facts.steady:
+            generator = torch.Generator(design.exposure.device).manual_seed(seed)
+            answers = [
+                design.exposures(block, tested)(budget, generator)[0].probabilities.cpu()
+                for block in torch.from_numpy(scenes).split(EXPOSED_AT_ONCE)
+            ]
+            probabilities = torch.cat(answers).numpy()
+        elif design.exposure.makes_masks:
             probabilities, p_values = design.prior_exposure.tested(
                 torch.from_numpy(scenes), budget, tested, seed, all_on
             )
         else:
             counts = design.expose(scenes, budget, seed, tested)
             probabilities = design.classify(counts, budget)
-            facts = tested.noise_facts
-            if design.usual_misfit is not None and facts.steady:
-                scanner = design.mask_exposure.scanner(noise_of(tested))
-                dark = scanner.dark_counts(design.rails.count).cpu().numpy()
-                noise = dark.reshape(design.counts_shape) + tested.sigma**2 * facts.read_noise
-                p_values = design.consistency(counts, budget, noise, all_on)
-        dim = CountTest(design).find_dim(np.array([budget]))
+            scanner = design.mask_exposure.scanner(noise_of(tested))
+            dark = scanner.dark_counts(design.rails.count).cpu().numpy()
+            read_noise = tested.noise_facts.read_noise * tested.sigma**2
+            noise = dark.reshape(design.counts_shape) + read_noise
+            p_values = design.consistency(counts, budget, noise, all_on)
+        dim = test.find_dim(np.array([budget]))
     best = probabilities.argmax(axis=1)
     labels = shown.labels or [None] * len(shown.names)
     trained = was_trained_on(design.training_scenes, scene_hashes(shown.x, design.image_shape))
