@@ -1,6 +1,7 @@
 """Test of the view of a run: its law, false alarms and power."""
 
 from copy import copy
+from itertools import islice
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ SHAPE, PHOTONS, MASKS = (8, 8), 1e4, 16
 
 @pytest.fixture(scope="module")
 def model(digits):
-    return SceneModel.fit(digits.x_train, digits.y_train, 10)
+    return SceneModel.fit(digits.x_train, digits.y_train)
 
 
 @pytest.fixture(scope="module")
@@ -26,7 +27,7 @@ def masks(digits):
 def exposed(model, masks, scenes, rng):
     test, none = ViewTest(model, SHAPE), np.zeros(MASKS)
     for x in scenes:
-        read = rng.poisson(masks @ x.clip(min=0)).astype(float)
+        read = rng.poisson(masks @ x.clip(min=0)).astype(float)[None]
         test.add(SceneReadouts(masks, read, none, none.astype(int)))
     return test.result
 
@@ -49,7 +50,7 @@ def test_a_likelihood_ratio_is_1_in_the_mean_of_sound_runs(model, masks):
         read = read + 0.3 * rng.normal() * mean + 0.03 * rng.normal() * mean
         test = copy(test_of)
         test._log, test._sums = 0 * test_of._log, []
-        test.add(SceneReadouts(bright, read, np.zeros(MASKS), np.zeros(MASKS, int)))
+        test.add(SceneReadouts(bright, read[None], np.zeros(MASKS), np.zeros(MASKS, int)))
         ratios.append(np.exp(test.result.odds))
     error = np.std(ratios, axis=0) / np.sqrt(len(ratios))
     assert (np.mean(ratios, axis=0) < 1 + 5 * error).all()
@@ -67,7 +68,11 @@ def test_sound_runs_are_let_pass_whatever_their_classes(digits, model, masks):
 
 @pytest.mark.parametrize(
     "view",
-    [*view_test.orientation_faults(SHAPE), *view_test.view_faults(SHAPE)],
+    [
+        *view_test.orientation_faults(SHAPE),
+        *view_test.view_faults(SHAPE),
+        *islice(view_test.dark_faults(SHAPE), 3, 38, 11),
+    ],
     ids=lambda view: view.words,
 )
 def test_each_fault_is_refused_and_named_in_40_scenes(digits, model, masks, view):

@@ -10,7 +10,7 @@ import pytest
 import deepfsi
 from conftest import quick
 from deepfsi.counting.recording import Recording
-from deepfsi.counting.tables import TableSettings
+from deepfsi.counting.tables import TableSettings, column_names
 from deepfsi.datasets.display import read_display, write_pictures
 from deepfsi.lab.virtual_optics import CAMERAS, VirtualCamera, arrival_rates
 from deepfsi.patterns.folder import Patterns
@@ -99,6 +99,34 @@ def test_a_row_of_photon_counts_that_is_there_twice_has_no_class(lab, tmp_path, 
     assert not any(fault.kind == "repeated" for fault in found.faults)
 
 
+@pytest.mark.parametrize("with_ends", [True, False])
+def test_a_table_whose_dark_scene_is_at_another_place_is_refused(lab, tmp_path, with_ends):
+    """As of a display that lags by a scene; its black has a thousandth of the light."""
+    manifest = Patterns.read(lab / "frames").manifest
+    x = read_display(lab / "images").x[:3]
+    shown = np.concatenate([1e-3 * x[:1], x])
+    rates = arrival_rates(Patterns.read(lab / "frames"), shown, CAMERAS["ideal"], 1e7)[..., 0]
+    rows = np.random.default_rng(0).poisson(rates * manifest.picture_s)
+    which = slice(None) if with_ends else manifest.mask_frames
+    heads = np.array(column_names(manifest))[which]
+
+    def classified(rows):
+        labels = ["dark", "0", "1", "2"]
+        lines = [
+            ",".join([str(k), label, *map(str, row[which])])
+            for k, (label, row) in enumerate(zip(labels, rows, strict=True))
+        ]
+        table = tmp_path / "table.csv"
+        table.write_text("\n".join([",".join(["scene", "label", *heads]), *lines]))
+        return deepfsi.classify_table(lab / "frames", table, TableSettings(photons=1e5), force=True)
+
+    found = classified(rows)
+    assert [scene.predicted is None for scene in found.scenes] == [True, False, False, False]
+    assert not any("lags" in remark for remark in found.remarks)
+    with pytest.raises(deepfsi.InputError, match=r"late: .* dark scenes are \[1\].*display lags"):
+        classified(rows[[1, 0, 2, 3]])
+
+
 @pytest.fixture(scope="module")
 def forty(lab, digits):
     """Forty test scenes, and classes of them as a virtual camera of some optics counts them."""
@@ -139,4 +167,5 @@ def test_a_sound_run_is_classified_and_a_short_one_says_what_it_does_not_exclude
     assert not whole.view.named
     assert not any("exclude" in remark for remark in whole.remarks)
     assert any("2 scenes do not exclude" in remark for remark in short.remarks)
+    assert any("lags by a whole scene cannot be seen" in remark for remark in whole.remarks)
     assert whole.as_dict()["view"]["scenes"] == 40

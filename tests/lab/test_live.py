@@ -107,6 +107,22 @@ def test_a_log_that_was_changed_is_refused(patterns, copied, change, words):
         classify_run(patterns, copied)
 
 
+def test_classes_that_were_given_before_a_refusal_say_so(patterns, copied):
+    path = copied / frame_log.LOG
+    lines = path.read_text().splitlines(keepends=True)
+    given = classify_run(patterns, copied).scenes
+    whole = '"faults":[{"kind":"view","detail":"mirrored"},'
+    lines[4] = lines[4].replace('"faults":[', whole).replace("},]", "}]")
+    path.write_text("".join(lines))
+    found = classify_run(patterns, copied).scenes
+    kinds = [{fault.kind for fault in each.faults} for each in found]
+    assert ["early" in each for each in kinds] == 4 * [True] + 8 * [False]
+    assert [each.predicted for each in found[:4]] == [each.predicted for each in given[:4]]
+    assert found[4].predicted is None
+    assert all("early" in each.cells()["remarks"] for each in found[:4])
+    assert "before the run was refused, at scene 4" in found[0].as_dict()["faults"][-1]
+
+
 def test_settings_that_cannot_be_are_refused(digits, patterns, tmp_path):
     with pytest.raises(InputError, match="between 0 and 1"):
         live(tmp_path / "run", patterns, digits, until=1.0)

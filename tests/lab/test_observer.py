@@ -34,9 +34,10 @@ def light(patterns, scene, lists):
     )
 
 
-def observe(patterns, scenes, change=lambda rates, lists: rates, **settings):
+def observe(patterns, scenes, change=lambda rates, lists: rates, labels=(), **settings):
     """Decisions on scenes (n, N) whose counts are their means, and the lists asked for."""
-    named = tuple(Scene(name=str(k)) for k in range(len(scenes)))
+    labels = dict(enumerate(labels))
+    named = tuple(Scene(name=str(k), label=labels.get(k)) for k in range(len(scenes)))
     run, asked = planned(patterns, named, **settings), []
     observer = SceneObserver(run.design, run.patterns.manifest, run.settings)
 
@@ -131,3 +132,21 @@ def test_a_mask_beyond_the_rate_that_is_sure_is_corrected_as_there(digits, patte
     (clean,), _ = observe(patterns, scenes, arrived)
     assert len(found) == len(clean) == LOOKS
     check_alike(found, clean)
+
+
+@pytest.mark.parametrize("shown_before", ["black", "a scene"])
+def test_a_display_that_lags_is_told_by_a_scene_that_is_to_be_dark(digits, patterns, shown_before):
+    """Black is not without light: a display's is a thousandth, of which counts know."""
+    planned_ones = np.concatenate([1e-3 * digits.x_test[:1], digits.x_test[:3]])
+    sound, _ = observe(patterns, planned_ones, labels=["dark"])
+    kinds = [{fault.kind for fault in each[-1].faults} for each in sound]
+    assert kinds[0] == {"dark"}
+    assert not any("late" in each for each in kinds)
+    assert all(len(each) == LOOKS for each in sound[1:])
+    before = planned_ones[:1] if shown_before == "black" else digits.x_test[4:5]
+    lagging, _ = observe(patterns, np.concatenate([before, planned_ones[:-1]]), labels=["dark"])
+    kinds = [{fault.kind for fault in each[-1].faults} for each in lagging]
+    assert all("late" in each for each in kinds[2:])
+    assert all({"late", "dark"} & each for each in kinds[:2]), "no class of another scene"
+    unlabelled, _ = observe(patterns, np.concatenate([before, planned_ones[:-1]]))
+    assert not any(fault.kind == "late" for each in unlabelled for fault in each[-1].faults)

@@ -21,7 +21,7 @@ from deepfsi.datasets.display import Display
 from deepfsi.lab.design_data import camera_of, listed_scenes, shown_scenes
 from deepfsi.lab.devices import Setup, virtual_setup
 from deepfsi.lab.live import LiveRun, record_run
-from deepfsi.lab.results import ClassifiedRun, ClassifiedScene
+from deepfsi.lab.results import ClassifiedRun, ClassifiedScene, lag_remarks, mark_early
 from deepfsi.lab.virtual_optics import VirtualCamera, record_scenes
 from deepfsi.patterns.folder import Patterns
 
@@ -215,8 +215,8 @@ class RunLive(_DeviceRun):
             title="a live run",
             noun="scene",
             classes=run.design.classes,
-            scenes=tuple(answered),
-            remarks=(view.remark,) if view is not None and view.remark else (),
+            scenes=mark_early(answered),
+            remarks=(*filter(None, [view and view.remark]), *lag_remarks(scenes)),
             view=view,
         )
         return Outcome(

@@ -49,11 +49,14 @@ FaultKind = Literal[
     "repeated",  # counts are those of another exposure, bit for bit
     "unlike",  # the counts of a scene do not look like those of the training
     "view",  # live: counts of all scenes are as if the picture were mirrored, blurred or the like
+    "late",  # other scenes are dark than are labelled so: the display lags
+    "early",  # live: the class was given before the run was refused
 ]
 """Kinds of faults; a new check of the light may bring its own."""
 
 SPOILING = (
     "dark", "brighter", "unsteady", "flicker", "budget", "gain", "repeated", "unlike", "view",
+    "late",
 )  # fmt: skip
 """Kinds of faults that leave a scene's counts without a meaning."""
 
@@ -360,6 +363,21 @@ def _list_frames(which: np.ndarray) -> str:
     return f" (frames {', '.join(map(str, frames[:5]))}{rest})"
 
 
+def find_late(labelled: np.ndarray, light: np.ndarray) -> list[Fault]:
+    """Fault of a run in which other scenes are dark, by their light (S,), than those (S,) to be."""
+    if not labelled.any() or labelled.all():
+        return []
+    # the black of a display is hardly ever more than a tenth of its pictures' light
+    dark = light <= 0.1 * np.median(light[~labelled])
+    if (dark == labelled).all():
+        return []
+    detail = (
+        f"the dark scenes are {np.flatnonzero(dark).tolist()}, and the labelled ones "
+        f"{np.flatnonzero(labelled).tolist()}: the display lags, or the lamp failed"
+    )
+    return [Fault(kind="late", detail=detail)]
+
+
 NO_LIGHT = 0.01
 """Largest chance that a dark scene is taken for a lit one, before its looks."""
 
@@ -381,9 +399,13 @@ class LightMonitor:
         self._reported: set[tuple[str, int | None]] = set()
         self.flux = 0.0
         self.dark = np.zeros(len(inputs))
+        self.on = np.zeros(0)  # counts/s of each scene's all-ON frames beyond the dark ones
 
-    def begin(self, first: Arrivals) -> tuple[bool, tuple[Fault, ...]]:
-        """Take the two frames before the looks at a scene: whether it is lit, and faults."""
+    def begin(self, first: Arrivals, dark: bool = False) -> tuple[bool, tuple[Fault, ...]]:
+        """Take the two frames before the looks at a scene: whether it is lit, and faults.
+
+        A scene that is to be dark is not lit, whatever light it has.
+        """
         # the two frames that end the scene are not counted yet
         unknown = replace(
             first,
@@ -394,17 +416,18 @@ class LightMonitor:
         self._sentinels.append(Arrivals.join([first, unknown]))
         self._look_back()
         arm = self._history[0]
-        dark = self._backgrounds[0]
+        background = self._backgrounds[0]
         of_inputs = self._backgrounds[-len(self.dark) :]
         self.dark = np.array([one.rate[-1] for one in of_inputs])
         on, on_s = arm.together(arm.bright)
-        p_value = excess_p_value(on[-1], on_s[-1], dark.photons[-1], dark.seconds[-1])
-        lit = bool(p_value <= NO_LIGHT)
+        self.on = on / on_s - background.rate
+        p_value = excess_p_value(on[-1], on_s[-1], background.photons[-1], background.seconds[-1])
+        lit = bool(p_value <= NO_LIGHT) and not dark
         self._lit.append(lit)
         self._sound.append(lit)
         if not lit:
             return lit, ()
-        light = PassLight(arm, dark, np.array(self._lit), np.array(self._sound))
+        light = PassLight(arm, background, np.array(self._lit), np.array(self._sound))
         flux = light.measure_flux(self._manifest.brightness, self._level)
         self.flux = float(flux.rate[-1])
         changes = _find_level_changes(flux)

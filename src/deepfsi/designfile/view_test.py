@@ -17,6 +17,7 @@ the counts as well, the fault is named and the run is not refused.
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import product
 from math import log
 
 import numpy as np
@@ -47,7 +48,7 @@ def view_faults(image_shape: tuple[int, ...], harmless: bool = False) -> Iterato
 
     Harmless ones are small: a run is refused only if none of these explains its counts.
     """
-    from scipy.ndimage import gaussian_filter, shift
+    from scipy.ndimage import affine_transform, gaussian_filter, rotate, shift
 
     blurs = (0.5,) if harmless else (1.0, 2.0)  # cells, standard deviation
     strays = (0.2,) if harmless else (0.5, 1.0, 3.0)  # stray light over the scenes' light
@@ -61,6 +62,7 @@ def view_faults(image_shape: tuple[int, ...], harmless: bool = False) -> Iterato
     )
     down = down[:, None]
     radius = (across**2 + down**2) / (1 if flat else 2)
+    between = {"order": 1, "mode": "grid-constant"}  # pixels are areas, and black is around them
     sides = {"right": (0, 1), "left": (0, -1)}
     if not flat:
         sides |= {"bottom": (1, 0), "top": (-1, 0)}
@@ -80,7 +82,35 @@ def view_faults(image_shape: tuple[int, ...], harmless: bool = False) -> Iterato
         yield _ViewFault(f"lit unevenly, brighter at the {side}", partial(np.multiply, light))
     for side, (dy, dx) in sides.items():
         cells_moved = (0.0, dy * share * height, dx * share * width)
-        yield _ViewFault(f"shifted to the {side}", partial(shift, shift=cells_moved, order=1))
+        yield _ViewFault(f"shifted to the {side}", partial(shift, shift=cells_moved, **between))
+    if flat:
+        return
+    for degrees in (-2, 2) if harmless else (-15, -6, 6, 15):
+        way = "clockwise" if degrees < 0 else "counter-clockwise"
+        words = f"turned by about {abs(degrees)} degrees {way}"
+        turned = partial(rotate, angle=degrees, axes=(1, 2), reshape=False, **between)
+        yield _ViewFault(words, turned)
+    if harmless:
+        return
+    for top, left in product((0, 1), repeat=2):
+        corner = f"{'bottom' if top else 'top'} {'right' if left else 'left'}"
+        words = f"smaller by about 1/8, at its {corner} corner"
+        offset = (0, 1 / 14 - top * height / 7, 1 / 14 - left * width / 7)
+        smaller = partial(affine_transform, matrix=[1, 8 / 7, 8 / 7], offset=offset, **between)
+        yield _ViewFault(words, smaller)
+
+
+def dark_faults(image_shape: tuple[int, ...]) -> Iterator[_ViewFault]:
+    """Rows, columns, and places where these meet, without light: an eighth of each side or more."""
+    height, width = _rows(image_shape)
+    rows, columns = (np.array_split(np.arange(n), min(n, 8)) for n in (height, width))
+    bands = [(down, np.arange(width)) for down in rows if height > 1]
+    bands += [(np.arange(height), across) for across in columns if height > 1]
+    for down, across in [*bands, *product(rows, columns)]:
+        light = np.ones((height, width))
+        light[np.ix_(down, across)] = 0
+        place = f"rows {down[0] + 1} to {down[-1] + 1}, columns {across[0] + 1} to {across[-1] + 1}"
+        yield _ViewFault(f"dark in its {place}", partial(np.multiply, light))
 
 
 def orientation_faults(image_shape: tuple[int, ...]) -> Iterator[_ViewFault]:
@@ -248,6 +278,7 @@ class ViewResult:
     odds: np.ndarray  # (V,), logarithm of the likelihood with each fault, over that without
     alike: float = 0.0  # like `odds`, 0 or more, for one scene shown again and again, seen soundly
     refused_before: bool = False  # whether the run was refused after fewer scenes
+    told: int | None = None  # the first faults, of which a run says that they stay possible
 
     @property
     @np.errstate(under="ignore")
@@ -289,7 +320,7 @@ class ViewResult:
         needed = -log(FALSE_ALARM)
         return {
             words: self.scenes * needed / -odds if odds < 0 else np.inf
-            for words, odds in zip(self.faults, self.odds.tolist(), strict=True)
+            for words, odds in zip(self.faults, self.odds[: self.told].tolist(), strict=False)
             if odds > -needed
         }
 
@@ -329,7 +360,8 @@ class ViewTest:
     """Test of a run, scene after scene."""
 
     def __init__(self, model: SceneModel, image_shape: tuple[int, ...]) -> None:
-        faults = (*orientation_faults(image_shape), *view_faults(image_shape))
+        dark = tuple(dark_faults(image_shape))
+        faults = (*orientation_faults(image_shape), *view_faults(image_shape), *dark)
         harmless = tuple(view_faults(image_shape, harmless=True))
         means = np.asarray(model.means, float)
         shares = np.asarray(model.shares, float)
@@ -352,6 +384,7 @@ class ViewTest:
         free = [BRIGHTNESS_FREE * self._shares @ view[None, : self._classes] for view in views]
         self._views = np.stack([np.concatenate(pair) for pair in zip(views, free, strict=True)])
         self._faults = tuple(fault.words for fault in faults)
+        self._told = len(faults) - len(dark)
         self._sound = 1 + len(harmless)  # views that pass; the first is the training's
         # Scenes of each class so far, with those that a Dirichlet law of the shares starts from
         count = self._sound + len(self._faults)
@@ -398,6 +431,7 @@ class ViewTest:
             odds=odds,
             alike=alike,
             refused_before=self._refused,
+            told=self._told,
         )
 
     @property

@@ -18,6 +18,7 @@ from deepfsi.camera.camera import Camera
 from deepfsi.camera.dead_time import NO_DEAD_TIME
 from deepfsi.camera.light import check_budget
 from deepfsi.counting.acquisition import Scene
+from deepfsi.counting.checks import find_late
 from deepfsi.counting.counts import Counts
 from deepfsi.counting.recording import Recording
 from deepfsi.counting.tables import TableSettings, count_table
@@ -25,7 +26,14 @@ from deepfsi.designfile.misfit import FALSE_ALARM
 from deepfsi.designfile.provenance import was_trained_on
 from deepfsi.lab.count_test import CountTest
 from deepfsi.lab.design_data import design_rails, open_design, shown_design
-from deepfsi.lab.results import LOG, ClassifiedRun, ClassifiedScene, read_log
+from deepfsi.lab.results import (
+    LOG,
+    ClassifiedRun,
+    ClassifiedScene,
+    lag_remarks,
+    mark_early,
+    read_log,
+)
 from deepfsi.patterns.folder import Patterns
 
 if TYPE_CHECKING:  # they import torch, which the command line loads late
@@ -101,14 +109,16 @@ def _live_answers(design: Path, run: Recording, trust: bool) -> ClassifiedRun:
         raise InputError(f"{run.folder / LOG} does not fit the run's settings: it was changed")
     trained = was_trained_on(opened.training_scenes, [scene.hash for scene in scenes])
     tested = CountTest(opened).usual is not None
+    answers = [
+        logged.answer(scene, opened.classes, known, tested)
+        for scene, logged, known in zip(scenes, log, trained, strict=True)
+    ]
     return ClassifiedRun(
         title="a live run, as it was decided",
         noun="scene",
         classes=opened.classes,
-        scenes=tuple(
-            logged.answer(scene, opened.classes, known, tested)
-            for scene, logged, known in zip(scenes, log, trained, strict=True)
-        ),
+        scenes=mark_early(answers),
+        remarks=lag_remarks(scenes),
         faults=tuple(fault for logged in log for fault in logged.faults),
     )
 
@@ -218,8 +228,13 @@ def _classify_counts(
     budgets = np.where(lit, stated, 1.0)
     test = CountTest(design)
     dim = [] if force else test.find_dim(stated)
-    counts = replace(counts, faults=(*dim, *test.find_repeated(counts), *counts.faults))
-    usable = counts.valid & (lit & ~counts.spoilt)[:, None]  # (S, R)
+    to_be_dark = test.to_be_dark(scenes)
+    seen = counts.signal().reshape(len(scenes), -1).sum(axis=1) / counts.valid.sum(axis=1).clip(
+        min=1
+    )
+    late = find_late(to_be_dark, seen)
+    counts = replace(counts, faults=(*dim, *late, *test.find_repeated(counts), *counts.faults))
+    usable = counts.valid & (lit & ~counts.spoilt & ~to_be_dark)[:, None]  # (S, R)
     if not usable.any():
         forced = "; `force` classifies them all the same" if dim else ""
         reason = f" ({counts.faults[0]})" if counts.faults else ""
@@ -263,7 +278,7 @@ def _classify_counts(
         title=f"{design.name}, {design.masks} masks",
         classes=design.classes,
         scenes=tuple(_answers(design, counts, scenes, usable, budgets, unlike)),
-        remarks=tuple(filter(None, remarks)),
+        remarks=(*filter(None, remarks), *lag_remarks(scenes)),
         faults=counts.faults,
         view=view,
     )

@@ -5,12 +5,14 @@ like those of the training? Does the camera see scenes as the training did?
 """
 
 from collections import deque
+from collections.abc import Sequence
 from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from deepfsi.camera.light import TOO_DIM
+from deepfsi.counting.acquisition import Scene
 from deepfsi.counting.checks import Fault
 from deepfsi.counting.counts import Counts
 from deepfsi.designfile.misfit import FALSE_ALARM, UsualMisfit
@@ -18,6 +20,9 @@ from deepfsi.designfile.view_test import SceneModel, SceneReadouts, ViewResult, 
 
 if TYPE_CHECKING:  # it imports torch, which the command line loads late
     from deepfsi.design.design import Design
+
+DARK = "dark"
+"""Label of scenes without light, whose places tell a display that lags."""
 
 
 class CountTest:
@@ -52,6 +57,10 @@ class CountTest:
         if self.model is None or trained is None or len(trained) < 100:
             return None
         return ViewTest(self.model, self._design.image_shape)
+
+    def to_be_dark(self, scenes: Sequence[Scene]) -> np.ndarray:
+        """Scenes (S,), bool, that are shown without light: `dark`, unless that is a class."""
+        return np.array([DARK not in self._design.classes and s.label == DARK for s in scenes])
 
     def find_dim(self, budgets: np.ndarray, first: int = 0) -> list[Fault]:
         """Faults of scenes, from `first`, whose budgets (S,) are far below the training's."""
@@ -103,7 +112,7 @@ class CountTest:
                 "look at the light, the design, the scenes and their scale, the order of frames, "
                 "`dead_time` and `photons`"
             )
-        faults = [Fault(kind="unlike", scene=scene, detail=detail)]
+        faults = [Fault(kind="unlike", scene=None if refused else scene, detail=detail)]
         return faults if self._unlike[-1] or refused else [], refused
 
     def see(self, readouts: SceneReadouts) -> ViewResult | None:

@@ -26,7 +26,7 @@ from deepfsi.base.arrays import LARGEST_TENSORS
 from deepfsi.base.errors import InputError, as_input_error
 from deepfsi.base.files import read_regular
 from deepfsi.counting.acquisition import Acquisition
-from deepfsi.counting.checks import SPOILING, Fault, LightMonitor
+from deepfsi.counting.checks import SPOILING, Fault, LightMonitor, find_late
 from deepfsi.counting.counts import Corrections
 from deepfsi.counting.flux import Arrivals
 from deepfsi.design.design import Design
@@ -54,6 +54,7 @@ class SceneObserver:
         self._scenes = len(acquisition.scenes)
         self._light = LightMonitor(manifest, acquisition.inputs, self._scenes)
         self.test = CountTest(design)
+        self._to_be_dark = self.test.to_be_dark(acquisition.scenes)
         self._ends = _scene_ends(manifest, acquisition.settle_s)
 
     def observe(self, scene: int, count: Callable[[FrameList], np.ndarray]) -> Iterator[Decision]:
@@ -62,11 +63,13 @@ class SceneObserver:
         `count` shows a list of frames and counts them. A run begins with scene 0.
         """
         begin = self._arrivals(count, self._ends)
-        lit, changes = self._light.begin(begin)
+        labelled = bool(self._to_be_dark[scene])
+        lit, changes = self._light.begin(begin, dark=labelled)
+        late = find_late(self._to_be_dark[: scene + 1], self._light.on)
         if not lit:
-            detail = "no light: the all-ON frame is not brighter than the all-OFF ones"
-            dark = Fault(kind="dark", scene=scene, detail=detail)
-            yield Decision(scene, -1, np.zeros(0), None, 0.0, final=True, faults=(dark,))
+            seen = "no light: the all-ON frame is not brighter than the all-OFF ones"
+            dark = Fault(kind="dark", scene=scene, detail="labelled so" if labelled else seen)
+            yield Decision(scene, -1, np.zeros(0), None, 0.0, final=True, faults=(*late, dark))
             return
         photons = float(self._light.flux * self._exposure_ns * 1e-9)
         self._begin(scene, photons)
@@ -86,7 +89,7 @@ class SceneObserver:
             yield decision
         end = self._arrivals(count, self._ends)
         faults = self._light.end([begin, *arrivals, end])
-        doubts = self.test.find_dim(np.array([photons]), first=scene)
+        doubts = late + self.test.find_dim(np.array([photons]), first=scene)
         doubts += self._find_unlike(scene, [begin, end])
         view = None
         # With other faults the counts tell nothing of how the camera sees scenes
@@ -94,7 +97,7 @@ class SceneObserver:
         if not kinds & set(SPOILING):
             view = self._see(photons, arrivals)
         if view is not None and view.refused:
-            faults += (Fault(kind="view", scene=scene, detail=view.refusal),)
+            faults += (Fault(kind="view", detail=view.refusal),)
         yield replace(decision, final=True, faults=(*changes, *faults, *doubts), view=view)
 
     def _begin(self, scene: int, photons: float) -> None:

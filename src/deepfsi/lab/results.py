@@ -4,8 +4,8 @@
 so that a run that is stopped at any moment keeps all scenes before.
 """
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +21,7 @@ from deepfsi.counting.checks import SPOILING, Fault
 from deepfsi.designfile.misfit import FALSE_ALARM
 from deepfsi.designfile.provenance import Score, score_lines, score_of
 from deepfsi.designfile.view_test import ViewResult
+from deepfsi.lab.count_test import DARK
 
 LOG = "shown.jsonl"
 """File of the finished scenes of a live run."""
@@ -100,6 +101,23 @@ class LoggedScene(StrictModel):
             light_s=self.light_s,
             clock_s=self.clock_s,
         )
+
+
+def lag_remarks(scenes: Sequence[Scene]) -> tuple[str, ...]:
+    """Sentence on a display that lags, unless a scene that is to be dark would tell."""
+    words = "a display that lags by a whole scene cannot be seen: begin with a black one, labelled"
+    told = len(scenes) < 2 or any(scene.label == DARK for scene in scenes)
+    return () if told else (f"{words} `{DARK}`",)
+
+
+def mark_early(answers: Sequence["ClassifiedScene"]) -> tuple["ClassifiedScene", ...]:
+    """Answers of a live run; those before a fault of the whole run say so."""
+    whole = [any(f.scene is None and f.kind in SPOILING for f in one.faults) for one in answers]
+    first = whole.index(True) if any(whole) else 0
+    detail = f"the class was given before the run was refused, at scene {first}"
+    early = Fault(kind="early", detail=detail)
+    before = [replace(one, faults=(*one.faults, early)) for one in answers[:first]]
+    return (*before, *answers[first:])
 
 
 def read_log(folder: Path) -> tuple[LoggedScene, ...]:
