@@ -34,6 +34,8 @@ def test_each_decision_is_printed_and_a_run_is_classified(done, refuse, lab, mad
         assert "confidence 0." in line or "confidence 1." in line
         assert "3 looks, light 10 ms" in line
     assert "right: " in out
+    assert "3 scenes do not exclude that the picture on the device is" in out
+    assert "lags by a whole scene cannot be seen" in out
     out = done("camera", "classify", lab / "adaptive.safetensors", run)
     assert "a live run, as it was decided" in out
     fixed = made("deepfsi", "free-dwell", "single").save(tmp_path / "fixed.safetensors")
