@@ -53,6 +53,7 @@ REFUSED = {
     "reproduce nosuch": "| unknown experiment 'nosuch'",
     "design --photons 1e4 --masks 3 --light free-dwell --rails single --detectors": """
         9x9 | do not divide scenes of 8x8: give ROWSxCOLUMNS up to 8x8
+        99999999999999999999x1 | give ROWSxCOLUMNS such as 2x2
         four | give ROWSxCOLUMNS such as 2x2, a number of bands, or
         none.npy | none.npy
         bright.npy | the detector of each pixel as a whole number

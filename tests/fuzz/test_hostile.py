@@ -20,6 +20,7 @@ from scipy.linalg import hadamard
 
 from deepfsi.base.errors import InputError
 from deepfsi.base.files import read_toml
+from deepfsi.base.tables import read_table
 from deepfsi.cli.terminal import Terminal
 from deepfsi.jobs.designs import read_matrix
 from fuzz.readers import READERS, copied
@@ -190,6 +191,13 @@ def test_bombs_of_matlab_and_of_tables(tmp_path):
     rows = polars.repeat(0, 2**25, dtype=polars.Int8, eager=True)
     polars.DataFrame({"x": rows}).write_parquet(tmp_path / "x.parquet")
     refused("parquet", tmp_path / "x.parquet", "would unpack", 300e6)
+
+
+def test_a_million_spaces(tmp_path):
+    """They took the square of their number."""
+    (tmp_path / "x.csv").write_text(" 1" + (" " * 10**6 + "2") * 3 + " " * 10**6)
+    assert not fault_of("csv", tmp_path / "x.csv")
+    assert np.array_equal(read_table(tmp_path / "x.csv").values, [[1, 2, 2, 2]])
 
 
 @pytest.mark.parametrize("cell", [b"x", [1], {"x": 1}, date(2000, 1, 1)])

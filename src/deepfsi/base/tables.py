@@ -194,7 +194,7 @@ def read_cells(path: Path, advice: str, spaces: bool = False) -> "pl.DataFrame":
     first = next((line for line in text.split("\n") if line.strip() and line[0] != "#"), "")
     separator = next((mark for mark in SEPARATORS if mark in first), ",")
     if spaces and separator not in first:  # as NumPy writes tables
-        text = re.sub(" +", ",", re.sub("^ +| +$", "", text, flags=re.M))
+        text = re.sub("^ | $", "", re.sub(" +", " ", text), flags=re.M).replace(" ", ",")
         first = re.sub(" +", ",", first.strip())
     if not first:
         return pl.DataFrame()

@@ -63,7 +63,7 @@ Levels = Annotated[int, Field(ge=0, le=2**24), AfterValidator(_levels)]
 def _detectors(setting: Any) -> str | tuple[int, ...]:
     """Name or bands as text, or the detector of each pixel, also from a .npy file."""
     name = str(setting).lower() if isinstance(setting, str | int) else ""
-    if re.fullmatch(r"[1-9]\d*(x[1-9]\d*)?", name):
+    if re.fullmatch(r"[1-9]\d{0,4}(x[1-9]\d{0,4})?", name):
         return name
     if name.endswith(".npy"):
         setting = read_npy(Path(setting))
