@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from deepfsi.lab.classify import classify_table as classify_table
     from deepfsi.lab.prediction import predict as predict
     from deepfsi.physics.scanner import Scanner as Scanner
+    from deepfsi.sklearn import DeepFSIClassifier as DeepFSIClassifier
     from deepfsi.training.assembly import design_of as design_of
     from deepfsi.training.learning import learn as learn
 
@@ -43,6 +44,7 @@ if "GOMP_SPINCOUNT" not in os.environ:
 _HOMES = {
     "Camera": "camera.camera",
     "Dataset": "datasets.dataset",
+    "DeepFSIClassifier": "sklearn",
     "Design": "design.design",
     "Fixed": "jobs.exposures",
     "InputError": "base.errors",

@@ -128,7 +128,7 @@ def _check_mat(content: bytes) -> None:
     # 128 bytes of header, then variables. They and their elements begin with type and length
     order = {b"IM": "<", b"MI": ">"}.get(content[126:128], "")
     start = 128
-    most = 8 * (2**24 + UNPACKED_RATIO * len(content))  # of numbers of 8 bytes
+    most = 2**27 + UNPACKED_RATIO * len(content)  # bytes
     while order and start + 8 <= len(content):
         kind, length = struct.unpack_from(f"{order}II", content, start)
         start += 8
