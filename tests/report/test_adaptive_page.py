@@ -12,6 +12,8 @@ from conftest import exposing, generator
 from deepfsi import Camera, learn
 from deepfsi.adaptive.exposure import prior_of
 from deepfsi.adaptive.posterior import AdaptivePosterior, LookOptics
+from deepfsi.designfile.misfit import FALSE_ALARM
+from deepfsi.designfile.view_test import SceneReadouts
 from deepfsi.evaluation import page_data as payload
 from deepfsi.evaluation.page_data import of_page, playable
 from deepfsi.jobs.exposures import AdaptiveMasks
@@ -106,13 +108,14 @@ def exposures(designs, digits, double):
                 sure = float(
                     state.class_probabilities.max()
                 )  # by which scenes are drawn: not calibrated
+                misfit = float(state.misfit(masks, counts, share))
                 state.update(masks, counts, share)
                 looks.append(
                     {
                         "start": start, "open": sure < SURE_ENOUGH, "candidates": before,
                         "mask": masks[0].tolist(), "expected": mean[0].tolist(),
                         "counts": counts[0].tolist(), "chances": state.probabilities[0].tolist(),
-                        "scene": state.scene[0].tolist(),
+                        "scene": state.scene[0].tolist(), "misfit": misfit,
                     }
                 )  # fmt: skip
             found.append({"photons": float(photons), "scene": x.tolist(), "looks": looks})
@@ -139,9 +142,10 @@ def test_posterior_and_masks_are_those_of_the_package(opened, designs, exposures
         "    const share = model.shares[0], before = candidates(state);"
         "    const shown = nextMask(state, share, start);"
         "    const expected = optics.expected(mask, scene, share);"
+        "    const misfit = state.misfit(mask, counts, share);"
         "    state.update(mask, counts, share);"
         "    return { candidates: before.map(each => [...each]), mask: [...shown], expected,"
-        "      chances: [...state.chances], scene: [...state.scene] };"
+        "      misfit, chances: [...state.chances], scene: [...state.scene] };"
         "  }); });",
         vectors=sent,
     )
@@ -152,6 +156,7 @@ def test_posterior_and_masks_are_those_of_the_package(opened, designs, exposures
     ]
     wanted, told = ({name: [p[i][name] for p in pairs] for name in pairs[0][1]} for i in (0, 1))
     np.testing.assert_allclose(told["expected"], wanted["expected"], rtol=CLOSE)
+    np.testing.assert_allclose(told["misfit"], wanted["misfit"], rtol=1e-4)
     np.testing.assert_allclose(told["chances"], wanted["chances"], atol=CLOSE, rtol=0)
     np.testing.assert_allclose(told["scene"], wanted["scene"], atol=CLOSE, rtol=0)
     assert np.ptp(wanted["chances"], axis=0).max() > 0.5  # answers differ
@@ -164,6 +169,39 @@ def test_posterior_and_masks_are_those_of_the_package(opened, designs, exposures
         if kind == "arms":  # the arms changed over tell as much
             ways.append([1 - on for on in mine["mask"]])
         assert theirs["mask"] in ways
+
+
+def test_looks_are_tested_as_by_the_package(opened, designs, digits):
+    """Verdicts of misfits and of light, after few looks and all, at budgets around its own."""
+    design = designs["dark"]
+    exposure = design.prior_exposure
+    rng = np.random.default_rng(0)
+    told, wanted = [], []
+    for photons in np.geomspace(PHOTONS / 100, PHOTONS * 100, 40):
+        gain, looks = photons / exposure.summed_reflectance, int(rng.integers(1, LOOKS + 1))
+        light = photons * float(rng.lognormal(0, 1))
+        misfit = float(rng.lognormal(np.log(4 * looks), 1))
+        sums = [{"light": light, "dark": 0}]
+        told.append({"misfit": misfit, "looks": looks, "photons": photons, "sums": sums})
+        rows = SceneReadouts.all_on(np.array([light]), gain, 0.0, digits.pixels)
+        share = exposure.prior.model.light(rows, exposure.usual_misfit.light[0])
+        p_values = exposure.usual_misfit.p_values(np.array([misfit]), looks, photons, share)
+        wanted.append(bool(p_values[0] < FALSE_ALARM))
+    found = ask(opened("dark"), "return given.told.map(each => model.unlike(each))", told=told)
+    assert found == wanted
+    assert 5 < sum(wanted) < 35
+
+
+def test_a_sound_exposure_gets_an_answer_and_an_inverted_one_none(opened):
+    browser = opened("arms")
+    ask(browser, "page.time = page.exposure.length; page.draw()")
+    assert browser.find_element(By.ID, "verdict").text.startswith("Answer: ")
+    ask(
+        browser,
+        "const { high } = model.scenes; page.scene = page.scene.map(x => high - x); page.renew();"
+        "page.time = page.exposure.length; page.draw()",
+    )
+    assert browser.find_element(By.ID, "verdict").text.startswith("No answer: these counts")
 
 
 def test_an_exposure_is_watched_look_by_look(opened):

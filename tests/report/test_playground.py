@@ -11,6 +11,7 @@ from selenium.webdriver import ActionChains, Keys
 from selenium.webdriver.common.by import By
 
 from conftest import quick
+from deepfsi.designfile.misfit import FALSE_ALARM
 from deepfsi.evaluation.page_data import playable
 from deepfsi.report.demo import write_page
 from shared.playground import (
@@ -83,23 +84,63 @@ def test_the_page_answers_as_the_design_does(opened, designs, kind):
         np.testing.assert_allclose(answer, wanted, atol=AGREES, rtol=0)
 
 
-def test_a_scene_unlike_all_of_the_training_is_said_and_gets_no_answer(opened):
-    browser = opened("range")
-    strange, usual = ask(
+@pytest.mark.parametrize("kind", [*KINDS, "dark", "dark-arms"])
+def test_counts_are_tested_as_by_the_design(opened, designs, digits, kind):
+    """Misfit and verdict of sound, dim, bright and inverted scenes, at budgets to both sides."""
+    design, rng = designs(kind), np.random.default_rng(1)
+    sound = digits.x_test[:30]
+    scenes = np.concatenate([sound, 0.1 * sound, 8 * sound, sound.max() - sound])
+    noise = "camera" if kind in DARK_KINDS else "poisson"
+    dark = DARK if kind in DARK_KINDS else 0.0
+    dark = design.scanner(noise, 0.0, dark).dark_counts(design.rails.count).numpy().ravel()
+    trained = design.usual_misfit.budgets[1]
+    for photons in (trained / 100, trained / 3, trained, 30 * trained):
+        rates = design.exposure.rates(design.scanner(), torch.from_numpy(scenes)).double().numpy()
+        lit = rng.poisson(rates.reshape(len(scenes), -1) * photons + dark) - dark
+        shaped = lit.reshape(-1, *design.counts_shape)
+        background = dark.reshape(design.counts_shape)
+        all_on = rng.poisson(scenes.sum(axis=1) * (photons / design.summed_reflectance))
+        rows = design.mask_exposure.scene_readouts(shaped, photons, background)
+        found = ask(
+            opened(kind),
+            "const { photons, dark } = given; return given.counts.map((lit, i) => {"
+            "  const misfit = model.misfit(lit, photons), light = lit.reduce((a, b) => a + b, 0);"
+            "  const sums = [{ light: given.allOn[i], dark: 0 }, { light, dark }];"
+            "  return [misfit, model.unlike({ misfit, looks: 1, photons, sums })]; })",
+            counts=lit.tolist(),
+            allOn=all_on.tolist(),
+            photons=photons,
+            dark=float(dark.sum()),
+        )
+        misfits, unlike = zip(*found, strict=True)
+        np.testing.assert_allclose(misfits, design.scene_model.misfit(rows), rtol=1e-4)
+        wanted = design.consistency(shaped, photons, background, all_on) < FALSE_ALARM
+        assert wanted.tolist() == list(unlike)
+    assert wanted[30:].mean() > 0.9
+    assert wanted[:30].mean() < 0.1
+
+
+def test_counts_unlike_those_of_the_training_get_no_answer(opened):
+    browser = opened("column")
+    assert verdict_at(browser, 4).startswith("Answer: ")
+    ask(
         browser,
-        "const flat = v => page.scene.map(() => v); const { low, high } = model.scenes;"
-        "const mean = page.scene.reduce((a, b) => a + b, 0) / page.scene.length;"
-        "const blanks = [low, mean, high].map(flat);"
-        "return [blanks.map(x => model.unlike(x)), page.scenes.map(x => model.unlike(x))]",
+        "const { high } = model.scenes; page.scene = page.scene.map(x => high - x); page.renew()",
     )
-    assert strange == [True] * 3
-    assert sum(usual) <= 1  # test scenes, one of which may be beyond 1560 others
-    press_button(browser, "clear")
-    time.sleep(0.2)
-    assert verdict_at(browser, 4).startswith("No answer: this scene is darker")
+    none = "No answer: these counts do not look like those of the training."
+    assert verdict_at(browser, 4) == none
     assert "%" not in said(browser, "answer")
     assert not browser.find_elements(By.CSS_SELECTOR, "#answer .top, #answer .fill, .class-line")
     assert "No probabilities" in said(browser, "answer-words")
+
+
+def test_a_page_of_a_design_that_knows_no_usual_counts_says_so(browser, designs, digits, tmp_path):
+    design = replace(designs("column"), usual_misfit=None)
+    page = write_page(tmp_path / "page.html", playable(design, digits))
+    open_playground(browser, page.as_uri())
+    ask(browser, "page.scene = page.scene.map(() => 0); page.renew()")
+    assert verdict_at(browser, 4).startswith("Answer: ")
+    assert "is not tested" in said(browser, "answer-words")
 
 
 @pytest.mark.parametrize("rate", [0.01, 1, 10, 1e3, 1e6])

@@ -27,6 +27,12 @@ from deepfsi.designfile.misfit import FALSE_ALARM, FEWEST_LEFT_OUT, SceneLight
 BRIGHTNESS_FREE = 0.3
 """Standard deviation of the brightness of scenes, relative to the mean, that no test minds."""
 
+GAIN_FREE = 0.03
+"""Standard deviation of the efficiency of each detector that no test minds."""
+
+DIM_NOISE = 0.1
+"""Variance added to each readout, over their mean count: few photons are far from normal."""
+
 EXPOSURES_AT_ONCE = 256
 """Exposures whose distances from all classes are in memory at a time."""
 
@@ -231,8 +237,7 @@ class SceneModel:
         scenes = [self.means, self.axes, BRIGHTNESS_FREE * self.mean[None]]
         views = np.concatenate(scenes, dtype=float)[None]
         known = views, len(self.means), self.mean, np.asarray(self.rest, float)
-        # Counts of readouts that hardly see light are far from normal
-        rows = replace(rows, noise=rows.noise + 0.1 * (rows.masks @ self.mean).mean())
+        rows = replace(rows, noise=rows.noise + DIM_NOISE * (rows.masks @ self.mean).mean())
         distances = []
         for start in range(0, len(rows.counts), EXPOSURES_AT_ONCE):
             block = replace(rows, counts=rows.counts[start : start + EXPOSURES_AT_ONCE])
@@ -459,8 +464,7 @@ def _distances(
     light = views @ rows.masks[lit].T * scale  # (V, C + axes, k)
     residuals = rows.counts[:, None, lit] * scale - light[:, :classes]
     gains = rows.inputs[lit, None] == np.unique(rows.inputs)
-    # the efficiency of each detector is free by 3 %
-    free = (0.03 * (expected[lit] * scale)[:, None] * gains).T
+    free = (GAIN_FREE * (expected[lit] * scale)[:, None] * gains).T
     axes = np.concatenate(
         [light[:, classes:], np.broadcast_to(free, (len(light), *free.shape))], axis=1
     )

@@ -12,9 +12,11 @@ import base64
 import zlib
 from dataclasses import replace
 from importlib.metadata import version
+from math import prod
 from typing import Any
 
 import numpy as np
+from scipy.special import ndtri
 
 from deepfsi.base.errors import InputError
 from deepfsi.base.progress import SILENT, Progress
@@ -22,7 +24,15 @@ from deepfsi.datasets.dataset import Dataset
 from deepfsi.design.design import Design
 from deepfsi.design.networks import Mlp
 from deepfsi.designfile.design_file import Temperatures
+from deepfsi.designfile.misfit import FALSE_ALARM, UsualMisfit
 from deepfsi.designfile.provenance import new_scenes, trained_budgets
+from deepfsi.designfile.view_test import (
+    BRIGHTNESS_FREE,
+    DIM_NOISE,
+    GAIN_FREE,
+    SceneModel,
+    SceneReadouts,
+)
 from deepfsi.evaluation.accuracy import check_data, evaluate
 from deepfsi.exposure.training_set import check_classes
 from deepfsi.physics.laws import ROUNDING_SLACK
@@ -145,6 +155,10 @@ def _networks(design: Design) -> dict[str, Any]:
     masks = design.mask_exposure
     scanner = masks.scanner(noise_of(design.camera))
     dark = scanner.noise.settings.get("dark", 0.0)  # of a detector in an exposure
+    rows = masks.scene_readouts(np.zeros((1, *design.counts_shape)), 1.0, 0.0)
+    usual = _usual(design.usual_misfit, design.scene_model, _all_on(design), rows)
+    if usual and design.scene_model:
+        usual |= _in_counts(design.scene_model, rows)
     return {
         "summed_reflectance": design.summed_reflectance,
         "light": masks.light,
@@ -161,7 +175,56 @@ def _networks(design: Design) -> dict[str, Any]:
             for layer in network.layers
         ],
         "exposure": masks.entry.model_dump(),
+        "usual": usual,
     }
+
+
+def _all_on(design: Design) -> SceneReadouts:
+    """All-ON frame at a budget of one photon."""
+    pixels = prod(design.image_shape)
+    return SceneReadouts.all_on(np.zeros(1), 1 / design.summed_reflectance, 0.0, pixels)
+
+
+def _usual(
+    usual: UsualMisfit | None, model: SceneModel | None, *rows: SceneReadouts
+) -> dict[str, Any] | None:
+    """What the test of counts compares with, at a budget of one photon; None if it is not held.
+
+    `rows` are those of an all-ON frame, and of masks that are known before.
+    """
+    if usual is None or model is None:
+        return None
+    # the smallest of these p-values, times their number, is compared; that of light is two-sided
+    chance = FALSE_ALARM / (1 + len(rows))
+    return {
+        "budgets": usual.budgets.tolist(),
+        "logarithms": usual.logarithms.tolist(),
+        "deviations": [-float(ndtri(chance)), -float(ndtri(chance / 2))],
+        "lights": [
+            {
+                "limits": np.nan_to_num(light).tolist(),  # JSON has no infinity
+                "expected": float((each.masks @ model.mean).sum()),
+                "spread": model.light(each, light).spread,
+            }
+            for each, light in zip(rows, usual.light[[0, -1]], strict=False)
+        ],
+    }
+
+
+def _in_counts(model: SceneModel, rows: SceneReadouts) -> dict[str, Any]:
+    """Classes and scenes of a model as `SceneModel.misfit` sees them, at a budget of one photon."""
+    masks = rows.masks
+    expected = masks @ model.mean
+    gains = np.unique(rows.inputs)[:, None] == rows.inputs
+    free = [BRIGHTNESS_FREE * expected[None], GAIN_FREE * expected * gains]
+    noise = expected + DIM_NOISE * expected.mean()
+    arrays = {
+        "noise": np.where(expected > 0, noise, np.inf),  # what no scene reaches tells nothing
+        "rest": masks**2 @ model.rest.astype(float),
+        "means": model.means.astype(float) @ masks.T,
+        "axes": np.concatenate([model.axes.astype(float) @ masks.T, *free]),
+    }
+    return {name: _pack(values) for name, values in arrays.items()}
 
 
 def _posterior(design: Design, full: Design) -> dict[str, Any]:
@@ -188,6 +251,7 @@ def _posterior(design: Design, full: Design) -> dict[str, Any]:
             "of": len(full.prior_exposure.prior),
             "centres": exposure.settings.clusters is not None,
         },
+        "usual": _usual(exposure.usual_misfit, full.prior_exposure.prior.model, _all_on(design)),
     }
 
 
@@ -212,10 +276,7 @@ def _scenes(data: Dataset, seed: int) -> dict[str, Any]:
     rows = np.array(sorted(turns[:SCENES], key=lambda row: (data.y_test[row], row)))
     share = (data.x_test[rows] - low) / max(high - low, 1e-9)
     levels = np.rint(share.clip(0, 1) * (2**16 - 1)).astype(np.uint16)
-    sums = data.x_train.sum(axis=1, dtype=float)
     return {
-        "sums": [float(sums.min()), float(sums.max())],
-        "flattest": float(np.asarray(data.x_train).std(axis=1).min()),
         "low": low,
         "high": high,
         "levels": _pack(levels),

@@ -136,12 +136,13 @@ class Page {
 
   drawAnswer(count) {
     const { exposure, model } = this;
-    const { unlike } = exposure;
+    const unlike = exposure.unlike(count);
     const chances = unlike ? null : exposure.answer(count);
     const top = drawAnswer($("answer"), model, chances);
     drawHistory($("history"), exposure, count, top);
     const none = "No probabilities are given for this scene.";
-    $("answer-words").textContent = unlike ? none : this.view.about(exposure);
+    const untested = model.usual ? "" : " Whether counts look like those of the training is not tested: too few scenes.";
+    $("answer-words").textContent = unlike ? none : this.view.about(exposure) + untested;
     $("verdict").textContent = this.verdict(top, chances);
   }
 
@@ -152,7 +153,7 @@ class Page {
     if (this.time < exposure.end - 1e-9) {
       return `The exposure goes on.${chances ? ` Likeliest so far: ${model.classes[top]}.` : ""}`;
     }
-    if (exposure.unlike) return "No answer: this scene is darker, brighter or flatter than all that the design was learned from.";
+    if (!chances) return "No answer: these counts do not look like those of the training.";
     const name = model.classes[top];
     const right = label === null ? "" : top === label ? ", which is right" : `, which is wrong: it is ${model.classes[label]}`;
     const dim = model.tooDim(exposure.photons) ? "Too little light for this design: its answer is hardly more than a guess. " : "";

@@ -1,7 +1,7 @@
 // Choice of the next mask: deepfsi.adaptive.choice in the browser.
 
-import { logDeterminant } from "./numbers.js";
-import { add, dot } from "./posterior.js";
+import { dot, logDeterminant } from "./numbers.js";
+import { add } from "./posterior.js";
 
 const LIKELIEST = 4; // classes that the next mask is to separate at most
 const SAMPLES = 128; // scenes drawn of the posterior by which masks are compared

@@ -41,12 +41,21 @@ export class Frames {
   constructor(model, scene, photons, seed) {
     Object.assign(this, { model, scene, photons, seed, frames: [], answers: new Map(), stop: null });
     this.together = !model.law.one_device;
-    this.unlike = model.unlike(scene);
   }
 
   /** When it ends: all masks that are known before are shown. */
   get end() {
     return this.length;
+  }
+
+  /** True after the last frame of an exposure whose counts are unlike those of the training. */
+  unlike(count) {
+    const { model, photons, scene, seed } = this;
+    if (!model.usual || count !== (this.stop?.count ?? this.frames.length)) return false;
+    const rate = (photons * scene.reduce((a, b) => a + b, 0)) / model.summed_reflectance;
+    const allOn = { light: poisson(rate, new Random(seed, 4)), dark: 0 }; // a frame as long as the exposure
+    const { misfit, looks, sums } = this.statistics;
+    return model.unlike({ misfit, looks, photons, sums: [allOn, ...sums] });
   }
 
   /** Place the frames in time, one after another. */
@@ -90,6 +99,15 @@ export class Exposure extends Frames {
       });
     });
     return { counts, lit: model.withoutDark(counts, scale) };
+  }
+
+  /** What the test of counts asks of the whole exposure. */
+  get statistics() {
+    const { model, photons, frames } = this;
+    const { lit } = this.after(frames.length);
+    const sum = (values) => values.reduce((a, b) => a + b, 0);
+    const sums = [{ light: sum(lit), dark: sum(model.darkCounts ?? []) }];
+    return { misfit: model.misfit(lit, photons), looks: 1, sums };
   }
 
   /** Probabilities at the end; where all masks see light at once, those of so much light. */

@@ -33,11 +33,12 @@ export class LookModel extends Design {
 export class LookExposure extends Frames {
   constructor(model, scene, photons, seed) {
     super(model, scene, photons, seed);
-    this.rule = this.unlike ? null : model.rule(photons);
+    this.rule = model.rule(photons);
     this.random = [new Random(seed), new Random(seed, 3)]; // of counts, and of the masks' choice
     this.optics = new LookOptics(model, photons);
     this.state = new Posterior(model.prior, this.optics);
     this.scenes = [this.state.scene];
+    this.misfit = 0;
     const readouts = Array.from({ length: model.rails * model.detectors }, (_, place) => place);
     this.frames = model.shares.map((share, look) => ({
       mask: look,
@@ -68,6 +69,7 @@ export class LookExposure extends Frames {
       frame.pattern = nextMask(this.state, frame.share, choosing.uniform());
       const expected = this.optics.expected(frame.pattern, this.scene, frame.share);
       frame.counts = expected.map((rate) => poisson(rate, counting));
+      this.misfit += this.state.misfit(frame.pattern, frame.counts, frame.share);
       this.state.update(frame.pattern, frame.counts, frame.share);
       this.scenes.push(this.state.scene);
       this.answers.set(this.taken, this.state.chances);
@@ -82,6 +84,11 @@ export class LookExposure extends Frames {
     if (Math.max(...this.answer(count)) > this.rule.threshold) {
       this.stop = { count, end, saved: 1 - end / this.length };
     }
+  }
+
+  /** What the test of counts asks of the looks. */
+  get statistics() {
+    return { misfit: this.misfit, looks: this.taken, sums: [] };
   }
 
   /** Counts after so many looks, at most those that are taken. */

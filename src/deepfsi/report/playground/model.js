@@ -1,7 +1,8 @@
 // The design: what its masks count of a scene, and what its networks make of the counts.
 
-import { softmax, temperatureAt, unpack } from "./numbers.js";
+import { between, dot, factorise, softmax, squaredLength, temperatureAt, unpack } from "./numbers.js";
 
+const SMALLEST = 1e-6; // share of the light below which it is taken for this
 const NEAR = 0.5 + 1e-9; // decades from the budget of a rule, where it holds
 
 /** Outputs of a network with rectified hidden layers. */
@@ -34,13 +35,20 @@ export class Design {
     this.pixels = payload.image_shape.reduce((a, b) => a * b);
   }
 
-  /** True of a scene that is darker, brighter or flatter than all scenes of the training. */
-  unlike(scene) {
-    const { sums, flattest } = this.scenes;
-    const sum = scene.reduce((a, b) => a + b, 0);
-    const mean = sum / scene.length;
-    const spread = Math.sqrt(scene.reduce((all, x) => all + (x - mean) ** 2, 0) / scene.length);
-    return sum < sums[0] * 0.999 || sum > sums[1] * 1.001 || spread < flattest * 0.999;
+  /** True of counts that are unlike those of the training: by their misfit, or by a sum of counts of light. */
+  unlike({ misfit, looks, photons, sums }) {
+    const { budgets, logarithms, lights, deviations } = this.usual;
+    const level = Math.log(photons / budgets[0]) / Math.log(budgets[1] / budgets[0]);
+    const [mean, deviation] = logarithms.map((rows) => between(rows.map((row) => row[looks - 1]), level));
+    if (Math.log(misfit) > mean + deviations[0] * deviation) return true;
+    return sums.some(({ light, dark }, i) => {
+      const { limits, expected, spread } = lights[i];
+      const share = light / (photons * expected);
+      const noise = Math.sqrt(photons * expected + dark) / (photons * expected);
+      if (share >= limits[0] - 3 * noise && share <= limits[1] + 3 * noise) return false;
+      const far = Math.abs(Math.log(Math.max(share, SMALLEST)));
+      return far > deviations[1] * Math.sqrt(Math.log1p(spread ** 2 + noise ** 2));
+    });
   }
 
   /** True where the light is far below that of the training. */
@@ -70,6 +78,10 @@ export class Model extends Design {
         bias: await unpack(bias),
       })),
     );
+    const { noise, rest, means, axes } = model.usual ?? {};
+    for (const [name, packed] of Object.entries({ noise, rest, means, axes })) {
+      if (packed) model.usual[name] = (await unpack(packed)).values;
+    }
     model.masks = model.matrix.length / model.pixels;
     model.features = model.mean.length;
     model.frames = model.findFrames();
@@ -129,6 +141,25 @@ export class Model extends Design {
   withoutDark(counts, scale) {
     const dark = this.darkCounts;
     return dark ? counts.map((count, place) => count - dark[place] * scale[place]) : counts;
+  }
+
+  /** Squared distance of counts without dark ones from those of the nearest class, by Woodbury's identity. */
+  misfit(lit, photons) {
+    const { noise, rest, means, axes } = this.usual;
+    const count = noise.length;
+    const scale = Float64Array.from(noise, (each, i) => {
+      return 1 / Math.sqrt(photons * each + (this.darkCounts?.[i] ?? 0) + photons ** 2 * rest[i]);
+    });
+    const rows = Array.from({ length: axes.length / count }, (_, row) =>
+      scale.map((each, i) => photons * each * axes[row * count + i]),
+    );
+    const precision = rows.flatMap((one, i) => rows.map((other, j) => (i === j ? 1 : 0) + dot(one, other)));
+    const factor = factorise(precision, rows.length);
+    const distances = this.classes.map((_, k) => {
+      const off = scale.map((each, i) => each * (lit[i] - photons * means[k * count + i]));
+      return dot(off, off) - squaredLength(rows.map((row) => dot(row, off)), factor);
+    });
+    return Math.min(...distances);
   }
 
   /** Features that the networks read of counts. */

@@ -84,7 +84,7 @@ export function temperatureAt({ logs, budgets }, photons, place) {
 }
 
 /** Value between equidistant ones at a place from 0; the ends are held. */
-function between(values, place) {
+export function between(values, place) {
   const at = Math.min(Math.max(place, 0), values.length - 1);
   const low = Math.floor(at);
   const high = Math.min(low + 1, values.length - 1);
@@ -110,6 +110,22 @@ export function factorise(matrix, size) {
     }
   }
   return matrix;
+}
+
+/** Square of a vector's length in the metric of a matrix, given the matrix's Cholesky factor. */
+export function squaredLength(vector, factor) {
+  const solved = new Float64Array(vector.length);
+  vector.forEach((value, i) => {
+    solved[i] = (value - dot(solved.subarray(0, i), factor, i * vector.length)) / factor[i * (vector.length + 1)];
+  });
+  return dot(solved, solved);
+}
+
+/** Sum of the products of two vectors, the second from a place on. */
+export function dot(a, b, start = 0) {
+  let sum = 0;
+  for (let i = 0; i < a.length; i++) sum += a[i] * b[start + i];
+  return sum;
 }
 
 /** Logarithm of the determinant of a symmetric positive definite matrix, given by its rows. */

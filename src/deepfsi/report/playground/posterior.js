@@ -1,18 +1,11 @@
 // Posterior of the scene, look after look: deepfsi.adaptive.posterior in the browser.
 
-import { softmax, temperatureAt } from "./numbers.js";
+import { dot, factorise, softmax, squaredLength, temperatureAt } from "./numbers.js";
 
 const DIMMEST = 1e-6; // least light of a scene through a mask, over that of the whole mean scene
 const LARGEST_SIZE = 1e9; // of the negative binomial law; beyond, it is Poisson's
 const LEAST_WEIGHT = 1e-30; // of a class, of which odds are taken
 const UNLIKELY = 1e-12; // probability below which a scene is left out of sums
-
-/** Sum of the products of two vectors, the second from a place on. */
-export function dot(a, b, start = 0) {
-  let sum = 0;
-  for (let i = 0; i < a.length; i++) sum += a[i] * b[start + i];
-  return sum;
-}
 
 /** Add a vector times a factor, in place; the vector is read from a place on. */
 export function add(to, factor, vector, start = 0) {
@@ -85,6 +78,29 @@ export class Posterior {
     this.taken = 0; // looks
     this.shift = new Float64Array(prior.parts); // mean of what the scene differs from those known
     this.weigh();
+  }
+
+  /** Squared distance of counts behind the next mask from those expected, in the metric of their covariance. */
+  misfit(mask, counts, share) {
+    const { prior, optics, weights } = this;
+    const gain = optics.gain * share;
+    const lights = optics.readouts(mask).map((seen) => prior.light(seen));
+    const left = lights.map(({ parts }) => this.unknown(parts));
+    const scenes = left.map((each) => weights.map((_, scene) => dot(each, prior.coefficients, scene * prior.parts)));
+    const middle = scenes.map((each) => dot(each, weights));
+    const expected = lights.map(({ mean, parts }, i) => {
+      const light = mean + dot(parts, this.shift) + middle[i];
+      return Math.max(light, 0) * gain + optics.dark * share;
+    });
+    const covariance = (i, j) => {
+      const among = weights.reduce((sum, weight, scene) => {
+        return sum + weight * (scenes[i][scene] - middle[i]) * (scenes[j][scene] - middle[j]);
+      }, 0);
+      return (among + (prior.spread ? dot(left[i], lights[j].parts) : 0)) * gain ** 2;
+    };
+    const noise = (i, j) => (i === j ? Math.max(expected[i], 1e-6) : 0);
+    const matrix = expected.flatMap((_, i) => expected.map((_, j) => covariance(i, j) + noise(i, j)));
+    return squaredLength(expected.map((mean, i) => counts[i] - mean), factorise(matrix, expected.length));
   }
 
   /** Take in the counts of a mask that was shown for a share of the exposure. */
