@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 from scipy.special import logsumexp
-from scipy.stats import multivariate_normal, poisson
+from scipy.stats import multivariate_normal, nbinom, poisson
 
 from deepfsi import Design, Result, evaluate, learn
 from deepfsi.adaptive import choice, posterior
@@ -180,3 +180,126 @@ def test_what_cannot_be_is_refused(digits, settings, match):
 def test_more_looks_than_there_can_be_are_refused(digits, settings, words):
     with pytest.raises(InputError, match=words):
         learn(digits, **({"design": "adaptive", "masks": 6, "photons": 1e4} | settings))
+
+
+@pytest.mark.parametrize("readouts", [1, 3])
+@pytest.mark.parametrize("near", [False, True])
+def test_information_is_that_of_normal_laws_with_equal_noise(readouts, near):
+    """Half the logarithm of the variance of all over that within classes, with photon noise 1."""
+    rng = np.random.default_rng(1)
+    counts = rng.gamma(2.0, 30.0, (2, 4, readouts, SCENES))
+    weights = rng.dirichlet(np.ones(SCENES), 2)
+    labels = np.arange(SCENES) % CLASSES
+    members = weights[..., None] * np.eye(CLASSES)[labels]
+    roots = rng.normal(size=(2, 4, readouts, readouts))
+    noise = np.eye(readouts) + near * roots @ roots.swapaxes(2, 3)
+    given = [torch.from_numpy(each) for each in (counts, members, noise - np.eye(readouts))]
+    found = choice.information(*given[:2], given[2] if near else None)
+    for (row, mask), one in np.ndenumerate(found.numpy()):
+        scale, weight = 2 * np.sqrt(counts[row, mask] + 3 / 8), weights[row]
+        total = np.cov(scale, aweights=weight, ddof=0)
+        within = sum(
+            weight[labels == k].sum() * np.cov(scale[:, labels == k], aweights=weight[labels == k],
+                                               ddof=0) for k in range(CLASSES)
+        )  # fmt: skip
+        every, apart = (np.atleast_2d(each) + noise[row, mask] for each in (total, within))
+        gain = np.log(np.linalg.det(every) / np.linalg.det(apart)) / 2
+        assert one == pytest.approx(gain, rel=1e-6)
+
+
+def test_scenes_are_drawn_as_often_as_their_weights_say():
+    """To less than one, of 50 at equal steps; all are taken where there are no more."""
+    weights = torch.from_numpy(np.random.default_rng(0).dirichlet(np.ones(200) / 3, 300))
+    indices, shares = choice.draw_scenes(weights, torch.Generator().manual_seed(0), 50)
+    often = torch.stack([torch.bincount(row, minlength=200) for row in indices])
+    assert ((often - 50 * weights).abs() < 1 + 1e-6).all()
+    assert (often - 50 * weights).mean(dim=0).abs().max() < 5 * 0.5 / 300**0.5
+    assert (shares == 1 / 50).all()
+    indices, shares = choice.draw_scenes(weights[:, :50], torch.Generator(), 50)
+    assert torch.equal(indices, torch.arange(50).expand(300, -1))
+    assert torch.equal(shares, weights[:, :50])
+
+
+@pytest.mark.parametrize("arms", [1, 2])
+def test_the_mask_of_each_detector_is_that_of_its_pixels_alone(arms):
+    rng = np.random.default_rng(3)
+    differ, scene = (
+        torch.from_numpy(rng.normal(size=(50, 16))),
+        torch.from_numpy(rng.random((50, 16))),
+    )
+    areas = torch.eye(2).double().repeat_interleave(8, dim=1)
+    whole = choice.difference_masks(differ, scene, areas, arms)
+    parts = [
+        choice.difference_masks(differ[:, part], scene[:, part], torch.ones(1, 8).double(), arms)
+        for part in (slice(8), slice(8, None))
+    ]
+    assert torch.equal(whole, torch.cat(parts, dim=1))
+
+
+@pytest.mark.parametrize("arms", [1, 2])
+def test_groups_of_the_likeliest_classes_differ_by_their_mean_scenes(arms):
+    """Each pair of groups of three classes once; on one arm either of them is the brighter one."""
+    x, labels = small()
+    state = state_of(x, labels, 300.0, arms=arms)
+    rng = np.random.default_rng(1)
+    told(state, rng.poisson(expected(x, readouts(MASKS, arms), 300.0)[:20]))
+    weights, own = state.weights.double().numpy(), labels[state.prior.order]
+    scenes = x[state.prior.order].astype(float)
+    found = state.group_differences().numpy()
+    assert found.shape[1] == 3 * (3 - arms)
+    for row in range(20):
+        chances = np.array([weights[row, own == k].sum() for k in range(CLASSES)])
+        mean = [weights[row, own == k] @ scenes[own == k] for k in range(CLASSES)]
+        for alone in range(CLASSES):
+            others = [k for k in range(CLASSES) if k != alone]
+            rest = sum(mean[k] for k in others) / chances[others].sum()
+            differ = mean[alone] / chances[alone] - rest
+            off = np.abs(found[row][:, None] - [differ, -differ]).max(axis=2)
+            if chances[alone] > 1e-4 and chances[others].sum() > 1e-4:
+                assert (off < 2e-3).sum() == 3 - arms
+
+
+@pytest.mark.parametrize("optics", [{}, {"dark": 40.0}, {"arms": 2}, {"detectors": QUARTERS}])
+@pytest.mark.parametrize("spread", [0.0, 0.6])
+def test_the_next_mask_is_the_candidate_whose_counts_tell_most(optics, spread):
+    """Of all scenes, and the covariance of the roots of their counts by scenes near them."""
+    x, labels = small()
+    state = state_of(x, labels, 100.0, spread, **optics)
+    if not spread:
+        mean = expected(x, readouts(MASKS, optics.get("arms", 1), optics.get("detectors")), 100.0)
+        told(state, np.random.default_rng(1).poisson(mean[:20]))
+    share, prior, masks = 0.2, state.prior, state.candidates()
+    gain, seen = 100.0 / prior.summed_reflectance * share, state.optics.readouts(masks).double()
+    dark = optics.get("dark", 0.0) * share
+    counts = gain * seen @ torch.from_numpy(x[prior.order]).double().T + dark
+    weights = state.weights.double()
+    members = torch.nn.functional.one_hot(prior.labels, CLASSES) * weights[..., None]
+    parts = seen @ prior.components.double().T * bool(spread)
+    steps = (counts * weights[:, None, None]).sum(dim=-1, keepdim=True)
+    steps = gain * parts * steps.clamp(min=1e-6).rsqrt()
+    told_by = choice.information(counts, members, steps @ steps.transpose(2, 3))
+    found = state.next_masks(share, torch.Generator())
+    which = (masks == found[:, None]).all(dim=2)
+    chosen = told_by.masked_fill(~which, -1).amax(dim=1)
+    assert (chosen > told_by.amax(dim=1) * (1 - 1e-3)).all()
+
+
+@pytest.mark.parametrize("photons", [3.0, 300.0])
+def test_one_look_at_scenes_near_those_of_the_prior_has_a_negative_binomial_law(photons):
+    """Of the variance that scenes near the mean one give the light, at any light."""
+    x, labels = small()
+    state = state_of(x, labels, photons, 0.8, dark=2.0)
+    prior, gain = state.prior, photons / state.prior.summed_reflectance
+    counts = torch.arange(20.0)[:, None]
+    masks = torch.from_numpy(MASKS[:1]).float().expand(20, -1)
+    state.update(masks, counts, 0.5)
+    mean = (x[prior.order].astype(float) @ MASKS[0] * gain + 2.0) * 0.5
+    variance = float((prior.components.double() @ torch.from_numpy(MASKS[0])).square().sum())
+    usual = mean.mean()
+    size = usual**2 / (variance * (gain * 0.5) ** 2)
+    logs = nbinom.logpmf(counts.numpy(), size, size / (size + mean))
+    exact = np.exp(logs - logsumexp(logs, axis=1, keepdims=True))
+    np.testing.assert_allclose(state.weights, exact, rtol=2e-3)
+    kept = state.rows_of(torch.arange(20) % 7 == 2)
+    torch.testing.assert_close(kept.scene, state.scene[[2, 9, 16]])
+    torch.testing.assert_close(kept.class_probabilities, state.class_probabilities[[2, 9, 16]])

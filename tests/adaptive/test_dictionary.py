@@ -9,8 +9,8 @@ from scipy.stats import poisson
 import deepfsi
 from conftest import generator
 from deepfsi import Design
-from deepfsi.adaptive import choice, posterior
 from deepfsi.adaptive import dictionary as tables
+from deepfsi.adaptive import posterior
 from deepfsi.adaptive.dictionary import MaskDictionary
 from deepfsi.adaptive.posterior import AdaptivePosterior, ScenePrior
 from deepfsi.base.errors import InputError
@@ -79,39 +79,53 @@ def test_one_look_tells_what_it_tells_of_masks_that_are_made():
 
 
 @pytest.mark.parametrize("spread", [0.0, 0.7])
-def test_a_dictionary_that_holds_the_mask_that_would_be_made_gives_it(spread, monkeypatch):
-    """After no look, and where scenes are known after every look: the information is the same."""
+def test_masks_are_compared_by_the_variance_of_roots_between_classes_over_that_within(
+    spread, monkeypatch
+):
+    """Of all scenes by their weights, with photon noise 1 and that of scenes near them."""
     monkeypatch.setattr(tables, "COMPARED_SCENES", (SCENES, SCENES))
     prior = prior_with(spread)
-    made = AdaptivePosterior(prior, 5, posterior.LookOptics(PHOTONS))
-    random = generator(6)
-    for look in range(1 if spread else LOOKS):
-        every = made.candidates().flatten(0, 1)
-        dictionary = MaskDictionary.drawn(torch.cat([every]), len(every), random)
-        state = state_of(prior, dictionary)
-        state.log_weights.copy_(made.log_weights)
-        best = made.next_masks(SHARE, random)
-        chosen = state.next_masks(SHARE, random)
-        gains = [scored(made, torch.stack([a, b])) for a, b in zip(best, chosen, strict=True)]
-        for row, (own, other) in enumerate(gains):
-            assert other[row] > own[row] - 1e-4
-        if look == 0:
-            assert torch.equal(best, chosen)
-        counts = Poisson().draw(made.expected(best, torch.from_numpy(X[:5]), SHARE), random)
-        made.update(best, counts, SHARE)
+    many = MaskDictionary.drawn(
+        torch.rand(3000, PIXELS, generator=generator(1)) < 0.5, 1100, generator(2)
+    )
+    state = state_of(prior, many, exposures=1, dark=60.0)
+    assert [len(part) for part in state.tables.parts] == [550, 550]
+    weights = RANDOM.dirichlet(np.ones(SCENES))
+    state.log_weights.copy_(torch.from_numpy(np.log(weights))[None] - 3)
+    shown, labels = many.masks.double().numpy(), prior.labels.numpy()
+    gain = PHOTONS / float(prior.summed_reflectance) * SHARE
+    light = shown @ X[prior.order].T * gain + 60.0 * SHARE  # (P, n)
+    roots = 2 * np.sqrt(light + 3 / 8)
+    near = (shown @ prior.components.double().numpy().T) ** 2 * bool(spread)
+    noise = 1 + near.sum(axis=1) * gain**2 / light.mean(axis=1)
+    classes = [(weights[labels == k].sum(), roots[:, labels == k], weights[labels == k])
+               for k in range(CLASSES)]  # fmt: skip
+    means = np.stack([own @ part / share for share, own, part in classes])
+    within = sum(own**2 @ part - share * mean**2
+                 for (share, own, part), mean in zip(classes, means, strict=True))  # fmt: skip
+    shares = np.array([share for share, *_ in classes])
+    between = shares @ (means - shares @ means) ** 2
+    wanted = between / (within + noise)
+    for look in range(3):
+        part = state.tables.parts[look % 2]
+        found = state._odds(state.log_weights[0].numpy(), look % 2)
+        np.testing.assert_allclose(found, wanted[part], rtol=2e-3, atol=1e-6)
+        best = state.next_masks(SHARE, generator())[0]
+        assert torch.equal(best, many.masks[part[found.argmax()]])
+        state.update(best[None], torch.zeros(1, 1), SHARE)
+        state.log_weights.copy_(torch.from_numpy(np.log(weights))[None])
 
 
-def scored(state, masks):
-    """Information (M, b) of the counts behind masks (M, N), all scenes compared."""
-    prior = state.prior
-    mean, parts = prior.light(masks)
-    light = mean[:, None] + parts @ prior.coefficients.T
-    counts = (light.clamp(min=0) * (state.gain * SHARE))[None, :, None]
-    members = torch.nn.functional.one_hot(prior.labels, CLASSES) * state.weights[..., None]
-    usual = (counts * state.weights[:, None, None]).sum(dim=-1, keepdim=True)
-    nearby = (parts.square().sum(dim=1) * bool(prior.spread))[None, :, None, None]
-    unknown = nearby * (state.gain * SHARE) ** 2 / usual
-    return choice.information(counts.expand(len(state), -1, -1, -1), members, unknown).T
+def test_scenes_are_compared_as_often_as_they_are_likely():
+    """Sixteen at equal steps, each to less than one; over looks in the mean, to a hundredth."""
+    state = state_of(prior_with())
+    weights = RANDOM.dirichlet(np.ones(SCENES) / 2)
+    often = []
+    for state._looks in range(400):
+        state._odds(np.log(weights).astype(np.float32), 0)
+        often.append(np.bincount(state._draw(), minlength=SCENES))
+    assert (np.abs(often - 16 * weights) < 1.001).all()
+    np.testing.assert_allclose(np.mean(often, axis=0), 16 * weights, atol=0.01)
 
 
 @pytest.fixture(scope="module")

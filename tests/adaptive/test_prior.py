@@ -10,6 +10,7 @@ from scipy.stats import multivariate_normal
 from deepfsi.adaptive import posterior
 from deepfsi.adaptive.posterior import AdaptivePosterior, ScenePrior
 from deepfsi.base.errors import InputError
+from deepfsi.designfile.design_file import Temperatures
 
 PIXELS, SIZES = 8, (30, 60, 90)
 
@@ -81,3 +82,84 @@ def test_scenes_that_do_not_differ_are_refused(scenes, clusters, match):
     x = np.random.default_rng(0).random((4, PIXELS), np.float32)[scenes]
     with pytest.raises(InputError, match=match):
         ScenePrior(x, np.array(scenes) % 2, 2, spread=0.3, clusters=clusters)
+
+
+def test_a_part_of_a_prior_has_scenes_of_each_class_by_lot():
+    rng = np.random.default_rng(0)
+    labels = np.repeat(np.arange(4), [1, 20, 300, 79])
+    prior = ScenePrior(rng.random((400, 6)).astype(np.float32), labels, 4, spread=0.5)
+    few, again, other = prior.subset(100, 1), prior.subset(100, 1), prior.subset(100, 2)
+    assert few.sizes == [1, 5, 75, 19]
+    assert torch.equal(few.coefficients, again.coefficients)
+    assert not torch.equal(few.coefficients, other.coefficients)
+    step = prior.coefficients.abs().amax(dim=0) / 127
+    far = (few.coefficients[:, None] - prior.coefficients).abs()
+    found = (far <= 0.501 * step).all(dim=2).nonzero()[:, 1]
+    assert len(found) == 100  # each is one of them, and no other
+    assert torch.equal(few.labels, prior.labels[found])
+    assert prior.subset(10**6).sizes == prior.sizes
+
+
+@pytest.mark.parametrize("clusters", [None, 5])
+def test_the_model_of_a_prior_has_its_moments(clusters):
+    """Of scenes about the means of their classes, and about their centres by the prior's law."""
+    x, labels = unequal()
+    prior = ScenePrior(x, labels, 3, components=PIXELS, clusters=clusters)
+    scenes = (prior.mean + prior.coefficients @ prior.components).double().numpy()
+    members, classes = prior.members.double().numpy(), prior.labels.numpy()
+    means = np.stack([x[labels == k].mean(axis=0) for k in range(3)])
+    away = scenes - means[classes]
+    covariance = (away.T * members) @ away / (len(x) - 3)
+    if clusters:
+        parts = prior.components.double().numpy()
+        covariance = covariance + parts.T @ parts
+    model = prior.model
+    axes = model.axes.astype(float)
+    np.testing.assert_allclose(model.means, means, atol=1e-3)
+    np.testing.assert_allclose(axes.T @ axes + np.diag(model.rest), covariance, atol=3e-4)
+    np.testing.assert_allclose(model.shares, np.array(SIZES) / sum(SIZES), atol=1e-3)
+    np.testing.assert_allclose(prior.class_shares, np.array(SIZES) / sum(SIZES), rtol=1e-6)
+    assert ScenePrior(x[labels < 2], labels[labels < 2], 2).model is None, "90 scenes"
+
+
+@pytest.mark.parametrize("spread", [0.5, 2.0])
+def test_scenes_lie_about_each_other_as_nearest_neighbours_of_a_class_do(spread):
+    """A thousandth of the mean variance is added in every direction."""
+    x, labels = unequal()
+    prior = ScenePrior(x, labels, 3, components=PIXELS, spread=spread)
+    away = []
+    for k in range(3):
+        scenes = x[labels == k].astype(float)
+        apart = cdist(scenes, scenes) + np.diag(np.full(len(scenes), np.inf))
+        away.append(scenes - scenes[apart.argmin(axis=1)])
+    away = np.concatenate(away) * spread
+    covariance = away.T @ away / len(away)
+    covariance += 1e-3 * np.trace(covariance) / PIXELS * np.eye(PIXELS)
+    parts = prior.components.double().numpy()
+    np.testing.assert_allclose(parts.T @ parts, covariance, rtol=1e-3, atol=1e-5)
+    again = prior.mean + prior.coefficients @ prior.components
+    np.testing.assert_allclose(again, x[prior.order], atol=1e-4)
+    stored = ScenePrior.restored(prior.arrays)
+    step = prior.coefficients.abs().amax(dim=0) / 127
+    assert ((stored.coefficients - prior.coefficients).abs() <= 0.501 * step).all()
+    assert torch.equal(stored.labels, prior.labels)
+    assert (stored.spread, stored.sizes) == (spread, [*SIZES])
+
+
+def test_temperatures_divide_odds_and_not_the_shares_before_all_looks():
+    """Those of the look before: after two looks, and at ten times the budget, half as sure."""
+    x, labels = unequal()
+    prior = ScenePrior(x, labels, 3)
+    odds = torch.tensor([[1.0, -2.0, 0.5]])
+    shares = torch.tensor(SIZES) / sum(SIZES)
+    usual = (odds.exp() * shares / (odds.exp() * shares).sum()).float()
+    torch.testing.assert_close(prior.calibrated(odds, 1, 1e3), usual)
+    logs = np.log([[1.0, 1.0], [1.5, 2.0], [4.0, 4.0]])
+    prior.temperatures = Temperatures(logs, np.array([1e3, 1e4]))
+    half = (odds / 2).exp() * shares
+    torch.testing.assert_close(prior.calibrated(odds, 2, 1e4), (half / half.sum()).float())
+    state = AdaptivePosterior(prior, 1, posterior.LookOptics(1e4))
+    torch.testing.assert_close(state.probabilities, shares[None])
+    torch.testing.assert_close(state.odds, torch.zeros(1, 3))
+    sure = torch.tensor([[0.5e-9, 1 - 1e-9, 0.5e-9]])
+    assert posterior.confidence_of(sure).tolist() == [1 - 1e-9]

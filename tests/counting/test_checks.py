@@ -7,12 +7,10 @@ import os
 
 import numpy as np
 import pytest
-from light_faults import BRIGHTNESS, FAULTS, Lit, patterns_of, while_in
+from light_faults import FAULTS, Lit, patterns_of, while_in
 from scipy.stats import binom
 
 from deepfsi.base.errors import InputError
-from deepfsi.camera.detectors import DetectorMap
-from deepfsi.counting import checks, flux
 from deepfsi.counting.counts import Counts
 from deepfsi.counting.flux import FALSE_ALARMS
 from deepfsi.counting.recording import Recording
@@ -110,27 +108,6 @@ def test_sound_light_is_not_called_faulty(counted):
     assert len(found) <= binom.isf(1e-6, RECORDINGS, FALSE_ALARMS), found
 
 
-@pytest.mark.parametrize("seconds", [0.01, 4.0])
-def test_law_few_photons_alone_are_no_gain(seconds):
-    """Shares of 120 photons a scene err by a tenth and more; half of the light is no error."""
-    rng, scenes = np.random.default_rng(6), 3
-    known = DetectorMap(count=2, shares=((0.5, 0.5), (0.4, 0.6)), spread=(0.0, 0.0))
-
-    def found(gain: float, mean: float) -> list:
-        detectors = []
-        for share in (0.5 * gain, 0.5):
-            photons = rng.poisson(mean * share, (scenes, 4))
-            open_s = np.full((scenes, 4), seconds)
-            places = np.arange(scenes), (0, 2), (1, 3), ()
-            curve = flux.LightCurve(photons, open_s, *places, "", sees_part=True)
-            none = flux.Background(np.zeros(scenes), np.ones(scenes), [slice(0, scenes)])
-            detectors.append(checks.PassLight.of(curve, none, 1e-4))
-        return checks.find_unequal_gains(detectors, known)
-
-    assert sum(bool(found(1.0, 20)) for _ in range(300)) == 0
-    assert all(found(0.3, 2e3) for _ in range(20))
-
-
 def test_a_mask_that_is_brighter_than_all_mirrors_on_spoils_its_scene(shown, tmp_path):
     """Stray light that is steady while one mask is shown is told by its brightness alone."""
     folder, patterns = shown["free-dwell"]
@@ -145,23 +122,3 @@ def test_a_mask_that_is_brighter_than_all_mirrors_on_spoils_its_scene(shown, tmp
     (fault,) = counts.faults
     assert (fault.kind, fault.scene, fault.frame) == ("brighter", 2, place)
     assert np.flatnonzero(counts.spoilt).tolist() == [2]
-
-
-@pytest.mark.parametrize("unit", [1.0, 0.05])
-def test_law_the_error_of_the_background_is_in_the_test_of_levels(unit):
-    """A background that changes is known from short dark frames, and is far above the light."""
-    rng, passes = np.random.default_rng(7), 6
-    seconds = np.tile(unit * np.array([1.0, 0.01, 1.0, 0.01]), (passes, 1))
-    stray = np.repeat([1e5, 3e5], passes // 2)[:, None] / unit
-    light = 5e3 / unit * np.array([1, 0, 1, 0])
-    alarms = 0
-    for _ in range(60):
-        photons = rng.poisson((stray + light) * seconds)
-        places = np.arange(passes), (0, 2), (1, 3), ()
-        curve = flux.LightCurve(photons, seconds, *places, "")
-        background = flux.Background.of(curve, 1e-4)
-        assert len(background.segments) == 2
-        every = np.ones(passes, bool)
-        given = {"used": every, "brightness": BRIGHTNESS, "level": 1e-4}
-        alarms += len(flux.Flux.of(curve, background, **given).levels) > 1
-    assert alarms == 0

@@ -1,13 +1,17 @@
 """Photons of a recording: each counted for its readout, or its exposure given up."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import recording_samples
-from recording_samples import DWELL, named, patterns_of, train, write_photons
+from recording_samples import DWELL, named, patterns_of, schedule, train, write_photons
 
 from deepfsi.base.errors import InputError
-from deepfsi.camera.dead_time import NO_DEAD_TIME
-from deepfsi.counting.counts import Corrections
+from deepfsi.camera.dead_time import NO_DEAD_TIME, DeadTime
+from deepfsi.camera.detectors import DetectorMap
+from deepfsi.counting.checks import Fault
+from deepfsi.counting.counts import Corrections, Counts, light_of_clicks
 from deepfsi.counting.recording import Recording
 from deepfsi.patterns.folder import Patterns
 
@@ -89,6 +93,64 @@ def test_law_counts_divided_by_a_gain_have_their_variance(gain):
     assert abs(found.mean() - mean) < 5 * found.std() / draws**0.5
     spread = float((seen * factors.variance).mean())
     assert spread == pytest.approx(found.var(), rel=5 * (2 / draws) ** 0.5)
+
+
+@pytest.mark.parametrize("silent", [24, 25])
+def test_law_clicks_tell_the_light_of_their_gates(silent):
+    """-log of the share of gates without a click; 25 of them tell it, or photons themselves.
+
+    Two detectors an arm; each arm is dark where the other is bright.
+    """
+    manifest = schedule([1000]).model_copy(update={"detectors": DetectorMap(count=2)})
+    exposures, gates, width = 50, 30, 1e-6
+    opened = 2 * exposures * gates  # both frames that are all ON, or all OFF
+    rates = np.array([[2e5, 4e5, 3e4, 4e4], [1e4, 2e4, 5e5, 6e5]])[[0, 1, 0, 1]]
+    fired = np.tile(-gates * np.expm1(-rates * width), (exposures, 1, 1))
+    given = {"gates": gates, "width_s": width, "manifest": manifest}
+    found, dark = light_of_clicks(1.1 * fired, fired, **given)
+    assert (found, *dark) == pytest.approx((5.7e5, 1e4, 2e4, 3e4, 4e4))
+    fired[:, [0, 2], 1] = (1 - silent / opened) * gates
+    known = np.log(opened / silent) / width - 2e4 + 1.9e5
+    found, _ = light_of_clicks(0 * fired, fired, **given)
+    assert found == pytest.approx(known) if silent == 25 else np.isnan(found)
+    many = fired.copy()
+    many[:, [0, 2], 1] = 3 * gates  # three photons a gate: the detector is not gated
+    assert light_of_clicks(many, fired, **given)[0] == pytest.approx(3e6 - 2e4 + 1.9e5)
+
+
+def test_counts_of_detectors_are_less_their_background_where_exposures_are_whole():
+    shape = 2, 3, 1, 4, 2  # scenes, repeats, rails, masks, detectors
+    rng = np.random.default_rng(0)
+    arrivals, dark = rng.uniform(0, 9, shape), rng.uniform(1, 2, (2, 1, 2))
+    lengths, valid = rng.uniform(0, 1, (1, 4)), rng.random((2, 3)) < 0.5
+    flux = np.array([3.0, 5.0])
+    made = Counts(arrivals, arrivals, 3 * arrivals - 8, valid, flux, dark, 0.5, 0, lengths,
+                  0, (0,), (Fault(kind="budget", scene=1, detail=""),))  # fmt: skip
+    background = np.einsum("srd,rm->srmd", dark, lengths)
+    np.testing.assert_allclose(made.background, background)
+    alone = np.where(valid[..., None, None, None], background[:, None], 0)
+    np.testing.assert_allclose(made.signal(), arrivals - alone)
+    np.testing.assert_allclose(made.excess, np.maximum(2 * arrivals - 8, 0))
+    assert made.photons.tolist() == [1.5, 2.5]
+    assert made.spoilt.tolist() == [False, True]
+    assert not replace(made, gates=3).background.any()
+    every = replace(made, faults=(Fault(kind="dark", detail=""), Fault(kind="level", detail="")))
+    assert every.spoilt.all()
+    with pytest.raises(InputError, match="clicks"):
+        replace(made, gates=3).check_photons("folder")
+    with pytest.raises(InputError, match="give `photons`"):
+        replace(made, flux=np.full(2, np.nan)).check_budget("folder")
+
+
+def test_rates_near_saturation_are_refused_with_the_worst():
+    corrections = Corrections(DeadTime.model_validate({"seconds": 1e-7}), np.ones(2))
+    rates = np.full((2, 5, 2), 1e3)
+    corrections.check(rates, schedule([1000]).frames, (4, 1), "it")
+    rates[1, 2, 1], rates[0, 1, 0] = 9e6, 8e6
+    with pytest.raises(InputError, match=r"it has 9e\+06 counts/s on input 2 in mask 0"):
+        corrections.check(rates, schedule([1000]).frames, (4, 1), "it")
+    above, most = (corrections.factors(np.array([[each, 1.0]])) for each in (1e9, 1e7))
+    assert above.arrivals[0, 0] <= most.arrivals[0, 0] * (1 + 1e-9)
 
 
 # Windows: no light of the next frame in the dark, also where markers come late

@@ -17,7 +17,8 @@ from recording_samples import (
 
 from deepfsi.base.errors import InputError
 from deepfsi.counting.recording import Recording
-from deepfsi.counting.windows import FrameStarts
+from deepfsi.counting.windows import FrameStarts, WindowCounts, Windows
+from deepfsi.patterns.manifest import GatePlan
 
 run, whole = recording_samples.run, recording_samples.whole
 
@@ -93,3 +94,92 @@ def test_gates_that_do_not_fit_frames_as_they_were_are_refused(run):
     said = "1.00% shorter than planned.*--exposure 0.01067 or less"
     run.refused(said, exposure_s=11 * DWELL * 0.972)
     assert Recording.read(run.folder).count(exposure_s=11 * DWELL * 0.97).valid.all()
+
+
+def followed(times, manifest=FREE, scenes=3) -> bool:
+    try:
+        found = FrameStarts.of(np.ravel(times), manifest, scenes)
+    except InputError:
+        return False
+    assert np.array_equal(found.starts_s, times)
+    return True
+
+
+@pytest.mark.parametrize("scale", [1, 0.05])
+def test_markers_follow_to_the_tolerance_and_the_drift_of_two_clocks(scale):
+    """Of 10 µs, or a tenth of the shortest frame; of 200 ppm, also for a pass that is too early."""
+    manifest = schedule([round(scale * us) for us in (400, 900, 1300, 2100, 700, 3000, 1500, 800)])
+    ends = {"picture_us": round(1000 * scale)}
+    frames = [each if each.role == "mask" else each.model_copy(update=ends)
+              for each in manifest.frames]  # fmt: skip
+    manifest = manifest.model_copy(update={"frames": tuple(frames)})
+    tolerance = 1e-5 if scale == 1 else 2e-6
+    true = train(manifest, 3, jitter=0)
+    span = true[0, -1] - true[0, 0]
+    for factor, follows in ((0.95, True), (1.05, False)):
+        for sign in (-1, 1):
+            late = true.copy()
+            late[1, 4] += sign * factor * tolerance
+            assert followed(late, manifest) is follows
+        early = true.copy()
+        early[1:] -= factor * tolerance + 2e-4 * manifest.picture_s[-1]
+        assert followed(early, manifest) is follows
+        longer = train(manifest, 1, factor * (2e-4 + tolerance / span), jitter=0)
+        assert FrameStarts.of(longer.ravel(), manifest, 1).drift == pytest.approx(
+            factor * (2e-4 + tolerance / span)
+        )
+
+
+def test_all_frames_may_be_longer_by_a_share_or_by_a_time():
+    """By 2 %, or by 20 % of the shortest frame; shorter by 2 %."""
+    for factor, follows in ((0.98, True), (1.02, False)):
+        for drift in (0.02, -0.02):
+            assert followed(train(FREE, 3, factor * drift, jitter=0)) is follows
+        for extra in (8e-5, -8e-6):
+            assert followed(train(FREE, 3, 0, extra=factor * extra, jitter=0)) is follows
+    longer = FrameStarts.of(train(FREE, 3, 0.01, jitter=0).ravel(), FREE, 3)
+    np.testing.assert_allclose(longer.pictures_s, 1.01 * FREE.picture_s)
+    later = FrameStarts.of(train(FREE, 3, 0, extra=2e-5, jitter=0).ravel(), FREE, 3)
+    np.testing.assert_allclose(later.pictures_s, FREE.picture_s + 2e-5)
+    assert later.drift == pytest.approx(2e-5 * 15 / FREE.picture_s[:-1].sum())
+
+
+@pytest.mark.parametrize(("settle", "guard"), [(2e-4, 1e-5), (9.9e-4, 5e-6)])
+@pytest.mark.parametrize("repeats", [1, 3])
+def test_windows_follow_each_other_from_settling_on(settle, guard, repeats):
+    """Gates and a rest in masks' frames, a rest alone in others; click gates are parts of gates."""
+    manifest = schedule([1000, 2000])
+    pictures, masks = manifest.picture_s, manifest.mask_frames
+    gates = GatePlan(1.0, settle, 0.3 * (pictures[masks] - settle) / repeats, repeats)
+    starts = FrameStarts(np.zeros((1, 6)), pictures, 0.0)
+    counted = Windows.of_gates(manifest, gates, starts)
+    clicking = Windows.of_clicks(manifest, gates, 4)
+    for frame, picture in enumerate(pictures):
+        is_mask = frame in masks
+        gate = 0.3 * (picture - settle) / repeats
+        for windows, lengths in (
+            (counted, [gate] * repeats * is_mask),
+            (
+                clicking,
+                [gate / 4] * 4 * repeats if is_mask else [(picture - settle - 1e-5) / 4] * 4,
+            ),
+        ):
+            own = windows.frame == frame
+            length, offset = windows.length_s[own], windows.offset_s[own]
+            end = picture - min(1e-5, (picture - settle) / 2)
+            rest = [end - settle - sum(lengths)] if windows is counted else []
+            np.testing.assert_allclose(length, [*lengths, *rest], atol=1e-12)
+            np.testing.assert_allclose(offset, settle + np.cumsum(length) - length)
+            assert windows.gate[own].tolist() == [is_mask] * len(lengths) + [False] * len(rest)
+    rest = counted.offset_s + counted.length_s
+    assert rest[counted.frame == 0] == pytest.approx([1e-3 - guard])
+    photons = np.arange(len(counted.frame))[None, :, None] * [1, 10]
+    seen = WindowCounts(photons, counted.length_s[None], counted)
+    whole, open_s = seen.per_frame()
+    for frame in range(6):
+        own = counted.frame == frame
+        assert whole[0, frame].tolist() == photons[0, own].sum(axis=0).tolist()
+        assert open_s[0, frame] == pytest.approx(counted.length_s[own].sum())
+    of_masks = seen.gates(repeats)
+    assert of_masks.shape == (1, repeats, 2, 2)
+    assert of_masks[0, -1, 1].tolist() == photons[0, np.flatnonzero(counted.gate)[-1]].tolist()

@@ -4,17 +4,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import torch
 from scipy.special import softmax
 
 from conftest import quick
 from deepfsi import Camera
-from deepfsi.designfile.design_file import calibration_budgets
+from deepfsi.designfile.design_file import Temperatures
 from deepfsi.evaluation.confidence import (
     CalibrationScenes,
-    Labelled,
     draw_logits,
     fit_temperatures,
+    measure_left_out,
 )
 from deepfsi.exposure.kind import temperatures_at
 from deepfsi.jobs.job import Job
@@ -74,16 +73,77 @@ def test_held_out_scenes_calibrate_where_there_are_any(fixed, digits):
     assert np.array_equal(found(digits), found(digits, "y_test"))  # none held out: no test scene
 
 
-def test_scenes_of_the_training_make_no_network_surer(fixed, digits):
-    """One that is three times less sure than it could be stays so, unless scenes were held out."""
-    x, y = (getattr(digits.hold_out(HELD_OUT), name) for name in ("x_test", "y_test"))
-    dim = torch.nn.Linear(10, 10, bias=False)
-    dim.weight.data = 0.2 * torch.eye(10)
-    shy = replace(fixed, classifier=torch.nn.Sequential(fixed.classifier, dim))
-    scenes = CalibrationScenes.of([Labelled(shy, Camera(), x, y)], seed=0)
-    left_out, trained_on = (
-        fit_temperatures(scenes, calibration_budgets(PHOTONS, PHOTONS), trained_on=seen)
-        for seen in (False, True)
+RNG = np.random.default_rng(3)
+LOGITS = RNG.normal(0, 2, (4000, 4))
+BASE = np.array([0.5, 0.0, -1.0, 0.2])
+
+
+def drawn_classes(logits):
+    """A class of each row, as softmax of its logits says."""
+    return (logits + RNG.gumbel(size=logits.shape)).argmax(axis=1)
+
+
+def logs_of(labels, logits, budgets=(1e2, 1e3), trained_on=False, **settings):
+    scenes = CalibrationScenes(labels, lambda photons, stop: logits, **settings)
+    return fit_temperatures(scenes, np.array(budgets), trained_on=trained_on).logs
+
+
+@pytest.mark.parametrize("base", [0.0, BASE])
+@pytest.mark.parametrize("tau", [0.4, 3.0])
+def test_a_temperature_makes_probabilities_those_of_the_classes(tau, base):
+    """To five errors, of which 4000 scenes leave 0.03; shifts of all logits change nothing."""
+    labels = drawn_classes(LOGITS + base)
+    found = logs_of(labels, 700 + tau * LOGITS, base=base)
+    assert found == pytest.approx(np.full((1, 2), np.log(tau)), abs=0.15)
+    up = logs_of(labels, tau * LOGITS, base=base, trained_on=True)
+    assert up == pytest.approx(found.clip(min=0), abs=0.02)
+
+
+@pytest.mark.parametrize("draws", [1, 2])
+def test_doubt_is_as_many_scenes_of_any_class_alike(draws):
+    """So the fit is that of all scenes four times, and of each with every class once."""
+    labels = drawn_classes(0.5 * LOGITS)
+    found = logs_of(labels, LOGITS, draws=draws, doubt=4000 / draws, base=BASE)
+    every = np.concatenate([np.tile(labels, 4), *(np.full(4000, k) for k in range(4))])
+    assert found == pytest.approx(logs_of(every, np.tile(LOGITS, (8, 1)), base=BASE), abs=0.02)
+    assert (found > logs_of(labels, LOGITS, base=BASE) + 0.3).all()
+
+
+def test_eight_numbers_of_masks_are_fitted_and_lines_join_them():
+    """At their own budgets; the temperature rises here as the square root of the number."""
+    labels, asked = drawn_classes(LOGITS), []
+
+    def logits(photons, stop):
+        asked.append((photons, stop))
+        return LOGITS * (stop + 1) ** 0.5 * photons
+
+    scenes = CalibrationScenes(labels, logits, stops=30)
+    found = fit_temperatures(scenes, np.array([1.0, 2.0]), trained_on=False)
+    fitted = np.array([1, 2, 3, 4, 7, 11, 18, 30]) - 1
+    assert asked == [(budget, stop) for budget in (1.0, 2.0) for stop in fitted]
+    lines = np.interp(np.arange(30), fitted, np.log(fitted + 1) / 2)
+    assert found.logs == pytest.approx(lines[:, None] + np.log([1, 2]), abs=0.12)
+
+
+@pytest.mark.parametrize(("clear", "guesses"), [(4.0, False), (0.3, True)])
+def test_scenes_left_out_are_tested_beside_guesses(clear, guesses):
+    """Two exposures of a scene are one scene; its error is that of a mean over scenes."""
+    labels = np.repeat([0, 1, 1, 2, 0], 2)
+    logits = clear * np.eye(3)[[0, 0, 1, 2, 1, 1, 2, 2, 1, 0]]
+    scenes = CalibrationScenes(labels, lambda *_: logits, draws=2, base=BASE[:3])
+    fitted = Temperatures(np.log([[2.0, 2.0]]), np.array([1e3, 1e4]))
+    guess = np.array([0.5, 0.5, 0.0])
+    found = measure_left_out(scenes, fitted, 3e3, guess)
+    rows = np.arange(10)
+    losses, raw = (
+        -np.log(softmax(logits / each + BASE[:3], axis=1)[rows, labels]) for each in (2, 1)
     )
-    assert left_out.logs.min() < -0.5
-    assert trained_on.logs.min() == 0
+    guessed = -np.log(np.maximum(guess, 1e-6))[labels]
+    error = (losses - guessed).reshape(5, 2).mean(axis=1).std() / 5**0.5
+    right = (logits + BASE[:3]).argmax(axis=1) == labels
+    assert (found.scenes, found.accuracy) == (5, right.mean())
+    assert (found.log_loss, found.uncalibrated_log_loss) == pytest.approx(
+        (losses.mean(), raw.mean())
+    )
+    assert (found.guessing, found.error) == pytest.approx((guessed.mean(), error))
+    assert found.guesses is guesses is bool(losses.mean() + 2 * error >= guessed.mean())

@@ -74,3 +74,26 @@ def test_dark_and_saturated_detectors_have_a_finite_gradient(rate, gates):
     rates = torch.full((1000,), rate, requires_grad=True)
     noise.Click(gates)(rates, generator()).sum().backward()
     assert torch.isfinite(rates.grad).all()
+
+
+@pytest.mark.parametrize("gates", [1, 3])
+@pytest.mark.parametrize("ratio", [0.1, 0.5, 3.0])
+def test_clicks_of_any_light_have_mean_and_noise_of_the_training(gates, ratio):
+    """Of known photons on two rails: five standard errors of 2e5 exposures, of clicks drawn."""
+    generator, plus = torch.Generator().manual_seed(3), torch.tensor([0.3, 1.2, 2.0])
+    minus, n = torch.tensor([0.0, 0.9, 0.1]), 200_000
+
+    def clicks(q):
+        rails = [1 - torch.exp(-q * rate / gates) for rate in (plus, minus)]
+        one, other = (
+            torch.binomial(torch.full((n, 3), float(gates)), p.expand(n, 3), generator=generator)
+            for p in rails
+        )
+        return one - other
+
+    mean = gates * (torch.exp(-minus / gates) - torch.exp(-plus / gates))
+    gain, offset = noise.click_rescaling(ratio, mean, plus + minus, gates)
+    seen, wanted = clicks(ratio) * gain + offset, clicks(1.0)
+    error = (seen.var(dim=0) / n).sqrt() + (wanted.var(dim=0) / n).sqrt()
+    assert bool(((seen.mean(dim=0) - wanted.mean(dim=0)).abs() < 5 * error).all())
+    torch.testing.assert_close(seen.std(dim=0), wanted.std(dim=0), rtol=0.02, atol=0)

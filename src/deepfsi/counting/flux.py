@@ -377,7 +377,7 @@ def _fit_decay(
     noise = brightness.within**2 + float((variances / counts**2).mean())
     error = np.sqrt(noise / (when @ when)) * (passes - 1)
     # Two classes one after the other are a step, and the line through it is half as much longer
-    sound = 1.5 * np.log(brightness.between) + SPREAD_SIGMAS * error + HARMLESS
+    sound = 1.5 * np.log(brightness.between * (1 + HARMLESS)) + SPREAD_SIGMAS * error
     if len(segments) == 1 and change <= sound:
         return None
     steps = np.concatenate(
