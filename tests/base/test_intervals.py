@@ -20,6 +20,7 @@ from deepfsi.base.intervals import (
     seeds_error,
     unpack_values,
     wilson,
+    worst_class,
 )
 from deepfsi.sweeps.results import accuracy_difference
 from shared.results import a_point
@@ -155,6 +156,10 @@ def test_points_are_paired_by_the_terms_of_their_images():
     assert (-found).high == -found.low
 
 
+def test_the_worst_class_is_the_first_of_the_lowest_accuracy():
+    assert worst_class([0.9, None, 0.2, 0.2]) == 2
+
+
 def test_damaged_terms_are_refused():
     values = np.array([0.0, 1 / 3, 1.0])
     text = pack_values(values)
@@ -178,6 +183,8 @@ def spread(low, high):
         ([(-0.3, -0.01)], False),
         ([(0.1, 0.2), (-0.3, -0.1)], False),
         ([(0.1, 0.2), (-0.3, -0.001)], None),
+        ([(0.0, 0.0)], None),
+        ([], True),
     ],
 )
 def test_a_claim_holds_only_where_every_interval_says_so(intervals, answer):

@@ -170,7 +170,9 @@ def test_every_stretch_of_another_light_is_found(passes):
             dark = curve_of(np.stack([1e6 + on, on, 1e6 + on, on], axis=1), 0.5)
             background = Background.of(dark, 1e-3)
             np.testing.assert_allclose(background.rate, 2 * on)
-            assert sorted(each.start for each in background.segments) == edges[:-1].tolist()
+            night = curve_of(np.stack([on] * 4, axis=1), 1e9)
+            for seen in (background, Background.of(night, 1e-3)):
+                assert sorted(each.start for each in seen.segments) == edges[:-1].tolist()
 
 
 def test_passes_that_are_not_used_have_the_level_before_them():

@@ -144,6 +144,13 @@ def test_all_frames_may_be_longer_by_a_share_or_by_a_time():
     assert later.drift == pytest.approx(2e-5 * 15 / FREE.picture_s[:-1].sum())
 
 
+def test_a_pass_on_another_clock_than_the_others_is_refused():
+    """800 ppm are off by more than the drift and the tolerance, also where others are by 150."""
+    drifts = (1e-4, 1.5e-4, 1.5e-4, 8e-4)
+    assert not followed([train(FREE, 1, drift, 0.1 * k, jitter=0)[0]
+                         for k, drift in enumerate(drifts)], scenes=4)  # fmt: skip
+
+
 @pytest.mark.parametrize(("settle", "guard"), [(2e-4, 1e-5), (9.9e-4, 5e-6)])
 @pytest.mark.parametrize("repeats", [1, 3])
 def test_windows_follow_each_other_from_settling_on(settle, guard, repeats):

@@ -118,6 +118,21 @@ def test_a_model_has_the_moments_of_its_scenes(scenes, pixels, classes):
     np.testing.assert_allclose(model.shares, np.bincount(labels) / scenes, rtol=1e-3)
 
 
+def test_a_model_of_other_masks_is_refused(model):
+    arrays = dict(vars(model))
+    again = SceneModel.restored(arrays, 64, 10)
+    assert all(np.array_equal(getattr(again, name), array) for name, array in arrays.items())
+    for name, array in (
+        ("means", arrays["means"][:9]),
+        ("means", 0 * arrays["means"]),
+        ("rest", arrays["rest"] - 1),
+        ("shares", arrays["shares"] - 1),
+        ("axes", arrays["axes"][:, :63]),
+    ):
+        with pytest.raises(ValueError, match="not of these masks"):
+            SceneModel.restored(arrays | {name: array}, 64, 10)
+
+
 @pytest.mark.parametrize(
     ("sizes", "enough"), [([20, 20], True), ([19, 60], False), ([40], True), ([39], False)]
 )

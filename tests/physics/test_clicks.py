@@ -10,6 +10,7 @@ from torch.distributions import Binomial
 
 from conftest import assert_moments, generator
 from deepfsi.physics import noise
+from deepfsi.physics.noise import click_rescaling
 
 DRAWS = 200_000
 
@@ -92,7 +93,7 @@ def test_clicks_of_any_light_have_mean_and_noise_of_the_training(gates, ratio):
         return one - other
 
     mean = gates * (torch.exp(-minus / gates) - torch.exp(-plus / gates))
-    gain, offset = noise.click_rescaling(ratio, mean, plus + minus, gates)
+    gain, offset = click_rescaling(ratio, mean, plus + minus, gates)
     seen, wanted = clicks(ratio) * gain + offset, clicks(1.0)
     error = (seen.var(dim=0) / n).sqrt() + (wanted.var(dim=0) / n).sqrt()
     assert bool(((seen.mean(dim=0) - wanted.mean(dim=0)).abs() < 5 * error).all())

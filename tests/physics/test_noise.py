@@ -9,6 +9,7 @@ from torch.nn.functional import softplus
 from conftest import assert_moments, generator, quick
 from deepfsi import Scanner
 from deepfsi.base.errors import InputError
+from deepfsi.camera.camera import Camera
 from deepfsi.physics import detection
 from deepfsi.physics import noise as noise_module
 from deepfsi.physics.noise import Poisson
@@ -126,3 +127,11 @@ def test_float32_keeps_mean_and_variance_up_to_1e10(name, rate, dtype):
     if name == "poisson":
         assert (counts == counts.round()).all()
         assert (counts >= 0).all()
+
+
+def test_a_camera_has_its_noise_or_another_with_its_numbers():
+    camera = Camera(noise="camera", sigma=2.0, dark=30.0)
+    own, other = noise_module.noise_of(camera), noise_module.noise_of(camera, "gaussian")
+    assert (own.name, own.sigma, own.dark) == ("camera", 2.0, 30.0)
+    assert (other.name, other.sigma) == ("gaussian", 2.0)
+    assert noise_module.noise_of(Camera(), "poisson") == Poisson()
