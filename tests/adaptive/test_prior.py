@@ -163,3 +163,11 @@ def test_temperatures_divide_odds_and_not_the_shares_before_all_looks():
     torch.testing.assert_close(state.odds, torch.zeros(1, 3))
     sure = torch.tensor([[0.5e-9, 1 - 1e-9, 0.5e-9]])
     assert posterior.confidence_of(sure).tolist() == [1 - 1e-9]
+
+
+def test_memory_holds_four_million_likelihoods_of_32_exposures_at_most():
+    x, labels = unequal()
+    prior = ScenePrior(x, labels, 3)
+    for scenes, exposures in ((2**17, 32), (2**17 + 1, 31), (2**20, 4), (2**23, 1)):
+        prior.labels = torch.zeros(1).expand(scenes)
+        assert prior.exposed_at_once == exposures

@@ -144,6 +144,17 @@ def test_all_frames_may_be_longer_by_a_share_or_by_a_time():
     assert later.drift == pytest.approx(2e-5 * 15 / FREE.picture_s[:-1].sum())
 
 
+def test_the_first_step_that_is_off_by_two_tolerances_is_named():
+    """Or the furthest, where none is; a pause after a pass is none."""
+    times = train(FREE, 3, pauses=0.05, jitter=0)
+    times[0, 5] += 1.9e-5
+    for scene, frame, off in ((0, 4, 0.0), (1, 6, 2.2e-5)):
+        times[1, 7] += off
+        said = rf"first at {times[scene, frame + 1]:.6f} s, .*\(scene {scene}, frame {frame}\)"
+        with pytest.raises(InputError, match=said):
+            FrameStarts.of(times.ravel(), FREE, 3)
+
+
 def test_a_pass_on_another_clock_than_the_others_is_refused():
     """800 ppm are off by more than the drift and the tolerance, also where others are by 150."""
     drifts = (1e-4, 1.5e-4, 1.5e-4, 8e-4)

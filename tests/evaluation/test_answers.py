@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from deepfsi.evaluation.measures import BINS, ClassAnswers, ValueAnswers, confidence_error
-from deepfsi.evaluation.results import Estimates, Result
+from deepfsi.evaluation.results import Estimates, Result, results_lines
 
 TEST = {"photons": 1e3, "noise": "poisson", "covers": "", "counts": 0.0, "arriving": 0.0}
 
@@ -24,7 +24,11 @@ def test_the_log_loss_of_knowing_nothing_or_the_wrong_is_finite(right):
     wrong = np.eye(4)[(truth + 1) % 4]
     blind = np.full((40, 4), 0.25)
     chances, loss = (blind, math.log(4)) if right is None else (wrong, 23 * math.log(2))
-    assert Result.of(classes(chances, truth)).log_loss == pytest.approx(loss, rel=1e-5)
+    result = Result.of(classes(chances, truth))
+    assert result.log_loss == pytest.approx(loss, rel=1e-5)
+    [row] = next(iter(results_lines([result], title="", classes="abcd"))).rows
+    assert row[1].startswith("0.250 ±" if right is None else "0.000 ±")
+    assert row[-1] == "0.750"
 
 
 def test_errors_of_values_are_means_over_draws_and_r2_is_of_their_variance():

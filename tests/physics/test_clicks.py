@@ -98,3 +98,11 @@ def test_clicks_of_any_light_have_mean_and_noise_of_the_training(gates, ratio):
     error = (seen.var(dim=0) / n).sqrt() + (wanted.var(dim=0) / n).sqrt()
     assert bool(((seen.mean(dim=0) - wanted.mean(dim=0)).abs() < 5 * error).all())
     torch.testing.assert_close(seen.std(dim=0), wanted.std(dim=0), rtol=0.02, atol=0)
+
+
+def test_detectors_that_nearly_always_click_gain_a_hundred_at_most():
+    gain, offset = click_rescaling(50.0, torch.tensor([0.0, 0.5]), torch.tensor([40.0, 2.0]), 1)
+    assert gain.tolist() == [100, 100]
+    assert torch.isfinite(offset).all()
+    dark, none = click_rescaling(3.0, torch.zeros(1), torch.zeros(1), 2)
+    assert (dark.item(), none.item()) == (1, 0)
