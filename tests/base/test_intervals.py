@@ -264,6 +264,7 @@ def test_a_difference_has_the_errors_of_images_and_of_both_trainings():
     assert (other.seeds_error, other.seeds_freedom) == (pytest.approx(np.hypot(*errors)), 2)
     alone = paired_difference(first, second[:1])
     assert (alone.seeds_error, alone.seeds_freedom) == (pytest.approx(errors[0]), 3)
+    assert paired_difference(first, second[:2]).seeds_freedom == 1
     single = paired_difference(first[:1], second[:1])
     assert (single.seeds_error, single.seeds_freedom) == (0, 1)
     for confidence in (0.5, 0.95):

@@ -29,6 +29,7 @@ def test_the_log_loss_of_knowing_nothing_or_the_wrong_is_finite(right):
     [row] = next(iter(results_lines([result], title="", classes="abcd"))).rows
     assert row[1].startswith("0.250 ±" if right is None else "0.000 ±")
     assert row[-1] == "0.750"
+    assert result.cells("abcd") == [("worst class", f"0.000 ({'a' if right == 0 else 'b'})")]
 
 
 def test_errors_of_values_are_means_over_draws_and_r2_is_of_their_variance():
