@@ -11,7 +11,7 @@ from deepfsi.base.errors import InputError
 from deepfsi.camera.dead_time import NO_DEAD_TIME, DeadTime
 from deepfsi.camera.detectors import DetectorMap
 from deepfsi.counting.checks import Fault
-from deepfsi.counting.counts import Corrections, Counts, light_of_clicks
+from deepfsi.counting.counts import ALL_OFF, ALL_ON, ENDS, Corrections, Counts, light_of_clicks
 from deepfsi.counting.recording import Recording
 from deepfsi.patterns.folder import Patterns
 
@@ -116,6 +116,12 @@ def test_law_clicks_tell_the_light_of_their_gates(silent):
     many = fired.copy()
     many[:, [0, 2], 1] = 3 * gates  # three photons a gate: the detector is not gated
     assert light_of_clicks(many, fired, **given)[0] == pytest.approx(3e6 - 2e4 + 1.9e5)
+
+
+def test_a_pass_begins_and_ends_all_on_and_all_off():
+    frames = schedule([1000] * 3).frames
+    for places, roles in ((ENDS, "on off on off"), (ALL_ON, "on on"), (ALL_OFF, "off off")):
+        assert [frames[place].role for place in places] == roles.split()
 
 
 def test_counts_of_detectors_are_less_their_background_where_exposures_are_whole():
