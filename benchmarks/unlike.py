@@ -135,9 +135,11 @@ def verdict(answers: Sequence[Sequence[ClassifiedScene]]) -> Verdict:
     """Verdict on the answers after each size; none of a refused run."""
     wrong, marked, refused = [], [], []
     for scenes in answers:
-        early = [any(fault.kind == "early" for fault in scene.faults) for scene in scenes]
+        doubted = [
+            any(fault.kind in ("early", "view") for fault in scene.faults) for scene in scenes
+        ]
         bare = [scene.predicted is None or bool(scene.unlike) for scene in scenes]
-        marks = np.array(early, bool) | np.array(bare, bool)
+        marks = np.array(doubted, bool) | np.array(bare, bool)
         sure = [
             scene.predicted != scene.label and (scene.probability or 0) >= SURE for scene in scenes
         ]

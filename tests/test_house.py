@@ -26,7 +26,7 @@ LINES = {
     "evaluation": 1329,
     "exposure": 1027,
     "jobs": 1189,
-    "lab": 3110,
+    "lab": 3113,
     "patterns": 1143,
     "physics": 1689,
     "report": 939,

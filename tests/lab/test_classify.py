@@ -160,6 +160,8 @@ def test_a_run_that_is_not_as_the_training_is_refused_unless_forced(
     forced = deepfsi.classify_run(tmp_path / "run/patterns", tmp_path / "run", force=True)
     assert all(scene.predicted for scene in forced.scenes)
     assert flux < 1e7 or any(words in remark for remark in forced.remarks)
+    marks = ["view" in {fault.kind for fault in scene.faults} for scene in forced.scenes]
+    assert flux < 1e7 or all(marks)
 
 
 def test_a_sound_run_is_classified_and_a_short_one_says_what_it_does_not_exclude(forty, tmp_path):

@@ -18,7 +18,7 @@ from deepfsi.camera.camera import Camera
 from deepfsi.camera.dead_time import NO_DEAD_TIME
 from deepfsi.camera.light import check_budget
 from deepfsi.counting.acquisition import Scene
-from deepfsi.counting.checks import find_late
+from deepfsi.counting.checks import Fault, find_late
 from deepfsi.counting.counts import Counts
 from deepfsi.counting.recording import Recording
 from deepfsi.counting.tables import TableSettings, count_table
@@ -264,6 +264,9 @@ def _classify_counts(
             view = test.see(readouts)
     if view is not None and view.refused and not force:
         raise InputError(f"{view.refusal}; `force` classifies them all the same")
+    if view is not None and view.named:  # classes that are given all the same are marked
+        doubt = Fault(kind="view", detail=f"the picture may be {view.likeliest}, as said below")
+        counts = replace(counts, faults=(doubt, *counts.faults))
     if counts.gates is not None:
         mean = budgets[usable.any(axis=1)].mean()
         remarks = [
