@@ -57,7 +57,7 @@ class UsualMisfit:
     def restored(cls, arrays: Mapping[str, np.ndarray], looks: int) -> "UsualMisfit":
         """Misfit from a file, or `ValueError` if it is damaged."""
         # files of earlier versions have no light: no scene is too bright or too dim for them
-        misfit = cls(**{"light": np.array([[0, np.inf]]), **arrays})
+        misfit = cls(**{"light": np.array([[0.0, 1e300]]), **arrays})
         budgets = len(MISFIT_BUDGETS)
         shapes = [array.shape for array in vars(misfit).values()]
         numbers = np.append(misfit.budgets, misfit.logarithms)
