@@ -41,7 +41,7 @@ def test_a_scene_that_is_left_out_is_further_than_one_that_is_known():
     ordered, rows = scenes[torch.from_numpy(prior.order)], torch.arange(SCENES)
     settings = AdaptiveMasks(looks=LOOKS)
     exposure = AdaptiveExposure(prior, settings, (PIXELS,), torch.zeros(LOOKS), Camera())
-    unknown = adaptive.LeftOutScenes(ordered, prior.labels, rows)
+    unknown = adaptive.LeftOutScenes(ordered, prior.labels, rows, rows)
     *_, misfits = adaptive.measure(exposure, [optics], unknown, generator(3))
     left_out = misfits[0].sum(dim=0).log().mean()
     away, _ = distances(prior, scenes, optics)

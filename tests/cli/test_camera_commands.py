@@ -85,7 +85,7 @@ def test_labels_that_the_design_does_not_know_are_left_out(done, lab, run):
     known = [(g, s["label"]) for s in scenes[1:] for g in s["guesses"]]
     right, said = sum(guess == label for guess, label in known), done(*words)
     assert scenes[0]["label"] == "cat"
-    assert f"right: {right} of {len(known)} new exposures (" in said
+    assert f"right: {right} of {len(known)} exposures, none recognised as trained on (" in said
     assert f"{len(scenes[0]['guesses'])} exposures with labels that are none of" in said
 
 

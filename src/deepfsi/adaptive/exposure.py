@@ -340,6 +340,7 @@ class LeftOutScenes(NamedTuple):
     scenes: Tensor  # (S, N)
     labels: Tensor  # (S,)
     indices: Tensor | None  # (S,), in the prior; None where it lacks them
+    groups: Tensor = torch.zeros(0)  # (n,), group of alike scenes of each scene of the prior
 
     def states(
         self, make: Callable[[int], State], size: int, report: Progress = SILENT
@@ -348,8 +349,9 @@ class LeftOutScenes(NamedTuple):
         batches = torch.arange(len(self.scenes)).split(size)
         for done, rows in enumerate(batches, start=1):
             state = make(len(rows))
-            if self.indices is not None:  # each scene is impossible in its own exposure
-                state.log_weights[torch.arange(len(rows)), self.indices[rows]] = -torch.inf
+            if self.indices is not None:  # a scene and all alike are impossible in its exposure
+                own = self.groups[self.indices[rows]]
+                state.log_weights[own[:, None] == self.groups] = -torch.inf
             yield rows, self.scenes[rows], state
             report(done / len(batches))
 
@@ -407,6 +409,7 @@ class AdaptiveTraining:
             torch.from_numpy(self.data.y_train[rows]),
             # a centre stands for many scenes, and stays when one of them is exposed
             indices if self.settings.clusters is None else None,
+            torch.from_numpy(self.data.alike[order]),
         )
 
     def longest(self, kind: AdaptiveExposure, job: Job, report: Progress) -> LeftOutAnswers:

@@ -12,6 +12,7 @@ import numpy.typing as npt
 from deepfsi.base.arrays import read_npz
 from deepfsi.base.errors import InputError, one_line
 from deepfsi.base.tables import normal_name
+from deepfsi.datasets.alike import Groups, deal, groups_of_alike
 from deepfsi.datasets.dataset import Dataset, Ends, Labels, Origin, Reflectance, Truth
 from deepfsi.datasets.levels import AnyArray, ValueRange, measure_levels, reflectance
 
@@ -125,8 +126,12 @@ def split_arrays(
     described: str | None = None,
     white: float | None = None,
     levels: ValueRange | None = None,
+    files: Sequence[str] | None = None,
 ) -> Dataset:
-    """Data set of arrays; without a test part a fifth of the scenes is drawn."""
+    """Data set of arrays; without a test part a fifth of the scenes is drawn.
+
+    Pictures that are alike are drawn together; `files` names them.
+    """
     drawn = all(array is None for array in test)
     pairs = [train] if drawn else [train, test]
     x, words, levels = _scenes([pair[0] for pair in pairs], name, white, levels)
@@ -144,8 +149,11 @@ def split_arrays(
                 f"{name}: class '{fewest}' has {sizes.min()} scenes; to draw a test part give "
                 f"{TEST_FOLDS} or more of each class, or a test part of your own"
             )
+    labels = truth if classes else np.zeros(len(truth), dtype=np.int64)
+    groups = groups_of_alike(np.concatenate(x), labels)
+    words = (described or words) + _alike_words(groups, n, files)
     if drawn:
-        order, chosen = draw_fifth(n, truth if classes else None, seed)
+        order, chosen = draw_fifth(n, truth if classes else None, seed, groups)
         tested = x[0][chosen], truth[chosen]
     else:
         # The last training scenes must be a fair sample to validate on
@@ -155,7 +163,7 @@ def split_arrays(
         name,
         (x[0][order], truth[order]),
         tested,
-        described=described or words,
+        described=words,
         rescale=rescale,
         classes=tuple(classes or ()),
         values=tuple(values or ()),
@@ -311,15 +319,38 @@ def assemble(
 
 
 def draw_fifth(
-    count: int, classes: npt.NDArray[np.integer] | None, seed: int
+    count: int,
+    classes: npt.NDArray[np.integer] | None,
+    seed: int,
+    groups: Groups | None = None,
 ) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
     """Indices to train on, in random order, and of a fifth to test on, drawn by classes (n,)."""
     from sklearn.model_selection import train_test_split
 
+    if groups is not None and len(np.unique(groups)) < count:
+        labels = np.zeros(count, dtype=np.int64) if classes is None else classes
+        tested = deal(groups, labels, TEST_FOLDS, seed) == 0
+        if tested.any():  # else each class is one group, of which some are tested all the same
+            order = np.random.default_rng(seed).permutation(count)
+            return order[~tested[order]], order[tested[order]]
     train, test = train_test_split(
         np.arange(count), test_size=1 / TEST_FOLDS, stratify=classes, random_state=seed
     )
     return train, test
+
+
+def _alike_words(groups: Groups, training: int, files: Sequence[str] | None) -> str:
+    """Words on pictures that are alike, the training ones first; none if each is a group."""
+    names, sizes = np.unique(groups, return_counts=True)
+    if len(names) == len(groups):
+        return ""
+    largest = np.flatnonzero(groups == names[sizes.argmax()])[:3].tolist()
+    such = ", ".join(files[row] if files else f"number {row}" for row in largest)
+    words = f"; {len(groups)} pictures are {len(names)} groups of alike ones (one of {such}, …)"
+    leaked = int(np.isin(groups[training:], groups[:training]).sum())
+    if leaked:
+        return f"{words}, and {leaked} test pictures are alike training ones: they measure nothing"
+    return f"{words}: they are split and left out together"
 
 
 def draw_stratified(

@@ -12,6 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from deepfsi.base.errors import InputError
 from deepfsi.base.models import Count
+from deepfsi.datasets.alike import Groups, deal, groups_of_alike
 
 Reflectance: TypeAlias = npt.NDArray[np.float32]
 Labels: TypeAlias = npt.NDArray[np.int64]
@@ -131,6 +132,11 @@ class Dataset:
         """Class of each training scene (n,); scenes with values share one."""
         return self.y_train if self.classes else np.zeros(len(self.y_train), dtype=np.int64)
 
+    @cached_property
+    def alike(self) -> Groups:
+        """Group (n,) of each training scene: pictures that are alike share one."""
+        return groups_of_alike(self.x_train.reshape(-1, *self.image_shape), self.groups)
+
     @property
     def measure(self) -> MeasureTitle:
         """Accuracy; of values R², the share of their variance that the answers explain."""
@@ -194,17 +200,21 @@ class Dataset:
             )
         x = np.concatenate([self.x_train, self.x_test])
         y = np.concatenate([self.y_train, self.y_test])
-        fewest = int(np.bincount(y).min()) if self.classes else len(y)
+        labels = y if self.classes else np.zeros(len(y), dtype=np.int64)
+        groups = groups_of_alike(x.reshape(-1, *self.image_shape), labels)
+        _, first = np.unique(groups, return_index=True)
+        fewest = int(np.bincount(labels[first]).min())
         if not 2 <= count <= fewest:
             least = "scenes of the smallest class" if self.classes else "scenes"
             raise InputError(
                 f"{self.name}: {count} folds of {fewest} {least}: give 2 to {max(fewest, 2)}"
             )
         order = np.random.default_rng(seed).permutation(len(y))
-        labels = y[order] if self.classes else np.zeros(len(y), dtype=np.int64)
         # The scenes of a class go to the folds in turn, so that each has its share
         fold = np.empty(len(y), dtype=np.int64)
-        fold[np.argsort(labels, kind="stable")] = np.arange(len(y)) % count
+        fold[np.argsort(labels[order], kind="stable")] = np.arange(len(y)) % count
+        if len(first) < len(y):
+            fold = deal(groups, labels, count, seed)[order]
         return [
             replace(
                 self,

@@ -75,6 +75,7 @@ def load_pictures(options: Origin) -> Dataset:
         rescale=options.rescale,
         described=f"{drawn}{words}",
         levels=levels,
+        files=[readable_name(f"{path.parent.name}/{path.name}") for path in paths],
     )
 
 

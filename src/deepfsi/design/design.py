@@ -20,7 +20,7 @@ from deepfsi.design.file import fields_of, file_of
 from deepfsi.design.networks import Given, OwnClassifier, with_code
 from deepfsi.designfile.design_file import DesignFile, Temperatures, find_design
 from deepfsi.designfile.misfit import UsualMisfit
-from deepfsi.designfile.provenance import trained_camera
+from deepfsi.designfile.provenance import TrainingScenes, trained_camera
 from deepfsi.designfile.view_test import SceneModel, SceneReadouts
 from deepfsi.exposure.kind import (
     EXPOSED_AT_ONCE,
@@ -61,8 +61,8 @@ class Design:
         Divisors of the logits at each budget, which calibrate the probabilities.
     values : Values, optional
         Names, mean and spread of the values that a design estimates in place of classes.
-    training_scenes : array of int32, shape (n,), optional
-        Hashes of the training scenes. None in files of older versions.
+    training_scenes : TrainingScenes, optional
+        What tells the training scenes from new ones. None in files of older versions.
 
     Examples
     --------
@@ -82,7 +82,7 @@ class Design:
     scene_model: SceneModel | None = None
     temperatures: Temperatures | None = None
     values: Values | None = None
-    training_scenes: np.ndarray | None = None
+    training_scenes: TrainingScenes | None = None
 
     def __repr__(self) -> str:
         budget = self.info.get("job", {}).get("photons")

@@ -22,7 +22,7 @@ from deepfsi.designfile.design_file import (
     damaged_design,
 )
 from deepfsi.designfile.misfit import UsualMisfit
-from deepfsi.designfile.provenance import SCENE_HASHES, trained_camera
+from deepfsi.designfile.provenance import TrainingScenes, trained_camera
 from deepfsi.designfile.view_test import SceneModel
 from deepfsi.exposure.kind import Clicks
 from deepfsi.exposure.training_set import Values
@@ -82,7 +82,7 @@ def file_of(design: "Design") -> DesignFile:
             if model is not None:  # its fields are arrays
                 arrays |= {f"{owner}.{name}": array for name, array in vars(model).items()}
     if design.training_scenes is not None:
-        arrays |= {SCENE_HASHES: design.training_scenes}
+        arrays |= design.training_scenes.arrays
     return DesignFile(header, arrays)
 
 
@@ -100,7 +100,7 @@ def fields_of(file: DesignFile) -> dict[str, Any]:
             "name": header.name,
             "classes": header.classes,
             "info": header.info,
-            "training_scenes": file.arrays.get(SCENE_HASHES),
+            "training_scenes": TrainingScenes.restored(file.arrays),
         }
     except (KeyError, TypeError, ValueError, RuntimeError, IndexError) as error:
         raise damaged_design(file.path or "this") from error

@@ -27,7 +27,7 @@ from deepfsi.base.registry import IMPORT_PATH
 from deepfsi.camera.detectors import DetectorMap
 from deepfsi.camera.light import TOO_DIM
 from deepfsi.camera.names import LightLawName, Readout, SummedReflectance
-from deepfsi.designfile.provenance import SCENE_HASHES
+from deepfsi.datasets.alike import thumbnail_places
 from deepfsi.jobs.designs import DESIGNS, check_design
 from deepfsi.jobs.exposures import AdaptiveMasks, ExposureEntry
 from deepfsi.jobs.training import Widths, find_classifier
@@ -100,7 +100,7 @@ class MaskHeader(StrictModel, strict=True, populate_by_name=True):
 
     def fits(self, arrays: Mapping[str, np.ndarray], whole: bool) -> bool:
         """Whether arrays are of the masks of this header."""
-        if not _are_sound(arrays, own=self.classifier.kind == "own"):
+        if not _are_sound(arrays, self.image_shape, own=self.classifier.kind == "own"):
             return False
         if not (whole or "rails" in arrays):
             return True
@@ -124,7 +124,7 @@ class AdaptiveHeader(StrictModel, populate_by_name=True):
 
     def fits(self, arrays: Mapping[str, np.ndarray], whole: bool) -> bool:
         """Whether arrays are of a prior of scenes, and of the looks of this header."""
-        if not (whole and _are_sound(arrays)):
+        if not (whole and _are_sound(arrays, self.image_shape)):
             return not whole
         scenes, components = arrays["levels"].shape
         pixels = math.prod(self.image_shape)
@@ -158,7 +158,7 @@ class AdaptiveHeader(StrictModel, populate_by_name=True):
         return bool(fit and populated and lit and timed and ready and 0 <= spread <= 1e2)
 
 
-def _are_sound(arrays: Mapping[str, np.ndarray], own: bool = False) -> bool:
+def _are_sound(arrays: Mapping[str, np.ndarray], shape: tuple[int, ...], own: bool = False) -> bool:
     """Whether arrays are finite and of their types; a user's own classifier has any."""
     for name, array in arrays.items():
         if own and name.startswith("classifier."):
@@ -166,9 +166,14 @@ def _are_sound(arrays: Mapping[str, np.ndarray], own: bool = False) -> bool:
         computed = name in ("rails", *STATISTICS) or name.startswith(("classifier.", "exposure."))
         if (computed and array.dtype != np.float32) or not np.isfinite(array).all():
             return False
-    hashes = arrays.get(SCENE_HASHES, np.zeros(0, np.int32))
+    hashes = arrays.get("training_scenes", np.zeros(0, np.int32))
     rising = bool((hashes[1:] > hashes[:-1]).all())
-    return hashes.dtype == np.int32 and hashes.ndim == 1 and rising
+    fit = hashes.dtype == np.int32 and hashes.ndim == 1 and rising
+    if (small := arrays.get("training_thumbnails")) is not None:
+        places = (len(hashes), *map(len, thumbnail_places(shape)))
+        fit &= small.dtype == np.uint8 and small.shape == places and small.ndim == 3
+        fit &= arrays["training_limit"].shape == (1,)
+    return fit
 
 
 DesignHeader = MaskHeader | AdaptiveHeader

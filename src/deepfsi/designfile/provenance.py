@@ -2,11 +2,12 @@
 
 A design keeps the job of its training with its camera; the name or path of its data with the
 options that load it; the hash of the training scenes, and the number of scenes left out. It also
-keeps a short hash of each training scene, by which a test tells them from new scenes.
+keeps a short hash of each training scene, by which a test tells them from new scenes, and small
+thumbnails of pictures of one's own: cut, resized or compressed again they are recognised.
 """
 
 from collections.abc import Iterable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from hashlib import blake2b
 from typing import Any
 
@@ -16,10 +17,66 @@ from deepfsi.base.errors import as_input_error
 from deepfsi.base.intervals import wilson
 from deepfsi.base.models import StrictModel
 from deepfsi.camera.camera import Camera
+from deepfsi.datasets.alike import likeness, thumbnails
+from deepfsi.datasets.catalog import DATASETS
 from deepfsi.datasets.dataset import Dataset, Origin
 
-SCENE_HASHES = "training_scenes"
-"""Name of the tensor of a design file that holds the hashes."""
+MOST_THUMBNAILS = 4096
+"""Training pictures of which a design keeps thumbnails, at most: of about 200 bytes each."""
+
+
+@dataclass(frozen=True, eq=False)
+class TrainingScenes:
+    """What a design remembers of its training scenes, n of them."""
+
+    hashes: np.ndarray  # (n,) int32, rising
+    thumbnails: np.ndarray | None = None  # (n, h, w) uint8, in the order of the hashes
+    # Likeness to one of them, beyond which a picture is recognised as trained on
+    limit: float = 1.0
+
+    @classmethod
+    def of(cls, data: Dataset) -> "TrainingScenes":
+        """Those of the training, and of held-out scenes."""
+        x = np.concatenate([data.x_train, *([data.x_test] if data.held_out else [])])
+        numbers = _numbers(scene_hashes(x, data.image_shape))
+        hashes, first = np.unique(numbers, return_index=True)
+        own = data.origin is not None and data.origin.data not in DATASETS
+        if not own or len(data.image_shape) != 2 or len(hashes) > MOST_THUMBNAILS:
+            return cls(hashes)
+        small = thumbnails(x[first].reshape(-1, *data.image_shape))
+        # As like as they are to different ones of them, new pictures may be, too
+        groups = np.append(data.alike, -1 - np.arange(len(x) - len(data.x_train)))[first]
+        nearest = likeness(small, small)
+        nearest[groups[:, None] == groups] = 0
+        limit = float(np.quantile(nearest.max(axis=1), 0.995).clip(0.9, 0.999))
+        return cls(hashes, small, limit)
+
+    @classmethod
+    def restored(cls, arrays: Mapping[str, np.ndarray]) -> "TrainingScenes | None":
+        """Those of a design file; None of older versions."""
+        hashes, small, limit = map(arrays.get, SCENE_ARRAYS)
+        if hashes is None or small is None or limit is None:
+            return None if hashes is None else cls(hashes)
+        return cls(hashes, small, float(limit[0]))
+
+    @property
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Arrays as a design file takes them."""
+        values = [self.hashes]
+        if self.thumbnails is not None:
+            values += [self.thumbnails, np.array([self.limit])]
+        return dict(zip(SCENE_ARRAYS, values, strict=False))
+
+    def nearest(self, pictures: np.ndarray) -> np.ndarray:
+        """Index (n,) of the training picture as which each of (n, H, W) is recognised, or -1."""
+        if self.thumbnails is None:
+            return np.full(len(pictures), -1)
+        alike = likeness(thumbnails(pictures), self.thumbnails)
+        return np.where(alike.max(axis=1) > self.limit, alike.argmax(axis=1), -1)
+
+
+SCENE_ARRAYS = ("training_scenes", "training_thumbnails", "training_limit")
+"""Names of the arrays of a design file that tell its training scenes."""
 
 
 class TrainedOn(StrictModel):
@@ -69,10 +126,16 @@ def scene_hashes(scenes: np.ndarray, image_shape: tuple[int, ...]) -> tuple[str,
     )
 
 
-def training_hashes(data: Dataset) -> np.ndarray:
-    """Short hashes (n,) int32, rising, of the training scenes and of held-out scenes."""
-    sets = [data.x_train, *([data.x_test] if data.held_out else [])]
-    return np.unique(_numbers(h for scenes in sets for h in scene_hashes(scenes, data.image_shape)))
+def known_hashes(
+    training: TrainingScenes | None, pictures: np.ndarray, image_shape: tuple[int, ...]
+) -> list[str]:
+    """Hashes of pictures (n, ...); one that is recognised has that of the training picture."""
+    hashes = list(scene_hashes(pictures, image_shape))
+    if training is not None:
+        for row, index in enumerate(training.nearest(pictures.reshape(-1, *image_shape))):
+            if index >= 0:
+                hashes[row] = int(training.hashes[index]).to_bytes(4, "big", signed=True).hex()
+    return hashes
 
 
 def _numbers(hashes: Iterable[str]) -> np.ndarray:
@@ -80,18 +143,20 @@ def _numbers(hashes: Iterable[str]) -> np.ndarray:
     return np.frombuffer(bytes.fromhex("".join(hashes)), ">i4").astype(np.int32)
 
 
-def was_trained_on(training: np.ndarray | None, hashes: Iterable[str | None]) -> list[bool | None]:
+def was_trained_on(
+    training: TrainingScenes | None, hashes: Iterable[str | None]
+) -> list[bool | None]:
     """Whether each scene was trained on, by the training's hashes (n,); None where unknown."""
     scenes = list(hashes)
     if training is None:
         return [None] * len(scenes)
     # All at once: a search through all training scenes takes milliseconds
     known = _numbers(scene for scene in scenes if scene is not None)
-    answers = iter(np.isin(known, training).tolist())
+    answers = iter(np.isin(known, training.hashes).tolist())
     return [None if scene is None else next(answers) for scene in scenes]
 
 
-def new_scenes(training: np.ndarray | None, data: Dataset) -> tuple[Dataset, str | None]:
+def new_scenes(training: TrainingScenes | None, data: Dataset) -> tuple[Dataset, str | None]:
     """Data whose test scenes are new to a design, and a sentence on what was left out.
 
     If the design was trained on all of them they stay, and the sentence says so. The test part of a
@@ -99,7 +164,7 @@ def new_scenes(training: np.ndarray | None, data: Dataset) -> tuple[Dataset, str
     """
     if training is None or data.held_out:
         return data, None
-    old = np.isin(_numbers(scene_hashes(data.x_test, data.image_shape)), training)
+    old = np.isin(_numbers(scene_hashes(data.x_test, data.image_shape)), training.hashes)
     count = int(old.sum())
     if count == 0:
         return data, None
@@ -127,7 +192,7 @@ def trained_budgets(info: Mapping[str, Any]) -> tuple[float, ...]:
 
 
 _KINDS = {
-    "new": (False, "new {}s"),
+    "new": (False, "{}s, none recognised as trained on"),
     "trained_on": (True, "{}s that were trained on, no measure of the design"),
     "unknown": (None, "{}s that may have been trained on"),
 }

@@ -17,7 +17,7 @@ from deepfsi.camera.detectors import ONE_DETECTOR, DetectorMap
 from deepfsi.camera.light import summed_reflectance
 from deepfsi.camera.names import LIGHT_LAWS, LightLawName, find_noise
 from deepfsi.datasets.dataset import Dataset
-from deepfsi.designfile.provenance import training_hashes
+from deepfsi.designfile.provenance import TrainingScenes
 from deepfsi.jobs.designs import DESIGNS, check_count, count_allowed, sensing_matrix
 from deepfsi.jobs.exposures import Exposure
 from deepfsi.jobs.job import Job
@@ -108,9 +108,9 @@ class TrainingSet:
         return self._views[exposure]
 
     @cached_property
-    def hashes(self) -> np.ndarray:
-        """Hashes of its scenes, which designs keep."""
-        return training_hashes(self.data)
+    def known(self) -> TrainingScenes:
+        """What designs keep of its scenes."""
+        return TrainingScenes.of(self.data)
 
     @cached_property
     def varying(self) -> Tensor:

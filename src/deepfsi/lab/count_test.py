@@ -54,7 +54,7 @@ class CountTest:
     @cached_property
     def _view(self) -> ViewTest | None:
         trained = self._design.training_scenes
-        if self.model is None or trained is None or len(trained) < 100:
+        if self.model is None or trained is None or len(trained.hashes) < 100:
             return None
         return ViewTest(self.model, self._design.image_shape)
 

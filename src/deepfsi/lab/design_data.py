@@ -31,7 +31,14 @@ from deepfsi.datasets.dataset import Dataset, Origin
 from deepfsi.datasets.display import array_display, read_display, read_scene_list
 from deepfsi.datasets.load import absolute_source, find_source, load_dataset, prepare_display
 from deepfsi.designfile.design_file import DesignFile
-from deepfsi.designfile.provenance import new_scenes, scene_hashes, trained_camera, trained_on
+from deepfsi.designfile.provenance import (
+    SCENE_ARRAYS,
+    TrainingScenes,
+    known_hashes,
+    new_scenes,
+    trained_camera,
+    trained_on,
+)
 from deepfsi.patterns.folder import Patterns
 from deepfsi.patterns.manifest import Manifest
 from deepfsi.patterns.rails import DesignRails
@@ -166,19 +173,29 @@ def shown_scenes(source: Path, patterns: Patterns) -> tuple["Display", tuple[Sce
     The design of the patterns gives the white of pictures whose type has none. Hashes are of the
     pictures as this design sees them.
     """
-    design = None
+    design = origin = None
     if patterns.manifest.design_sha256 is not None and patterns.folder is not None:
-        design = DesignFile.read(patterns.folder / Patterns.DESIGN, ()).header
-    images = read_display(source)
-    known = trained_on(design.info) if design else None
-    if images.levels.chosen and known and known.origin and known.origin.white is not None:
-        images = read_display(source, known.origin.white)
+        file = DesignFile.read(patterns.folder / Patterns.DESIGN, SCENE_ARRAYS)
+        design = file.header
+        known = trained_on(design.info)
+        origin = known.origin if known else None
+    size = None
+    try:
+        images = read_display(source)
+    except InputError:
+        if origin is None or origin.size is None:
+            raise
+        size = origin.size  # sizes that differ are brought to that of the design, as its data were
+        images = read_display(source, shape=size)
+    if images.levels.chosen and origin and origin.white is not None:
+        images = read_display(source, origin.white, size)
     labels = images.labels or [None] * len(images.names)
     hashes: Sequence[str | None] = [None] * len(images.names)
     if design is not None:
         with suppress(InputError):  # it was made of arrays, or of pictures of another size
             x = design_scenes(design.info, design.image_shape, source).x
-            hashes = scene_hashes(x, design.image_shape)
+            training = TrainingScenes.restored(file.arrays)
+            hashes = known_hashes(training, x, design.image_shape)
     return images, tuple(
         Scene(name=name, label=label, hash=digest)
         for name, label, digest in zip(images.names, labels, hashes, strict=True)

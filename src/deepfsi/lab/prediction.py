@@ -13,7 +13,7 @@ from deepfsi.base.quantities import budget_text
 from deepfsi.camera.camera import CameraSource
 from deepfsi.camera.light import check_budget
 from deepfsi.designfile.misfit import FALSE_ALARM
-from deepfsi.designfile.provenance import scene_hashes, trained_budgets, was_trained_on
+from deepfsi.designfile.provenance import known_hashes, trained_budgets, was_trained_on
 from deepfsi.lab.count_test import CountTest
 from deepfsi.lab.design_data import design_scenes
 from deepfsi.lab.results import ClassifiedRun, ClassifiedScene
@@ -146,7 +146,8 @@ def predict(
         dim = test.find_dim(np.array([budget]))
     best = probabilities.argmax(axis=1)
     labels = shown.labels or [None] * len(shown.names)
-    trained = was_trained_on(design.training_scenes, scene_hashes(shown.x, design.image_shape))
+    hashes = known_hashes(design.training_scenes, shown.x, design.image_shape)
+    trained = was_trained_on(design.training_scenes, hashes)
     size = f"{design.name}, {design.exposure.title}"
     return Predictions(
         title=f"{size}, {budget_text(budget)} photons, {tested.noise_name} noise",

@@ -14,7 +14,7 @@ from deepfsi.base.intervals import pack_values, unpack_values, worst_class
 from deepfsi.camera.detectors import DetectorMap
 from deepfsi.camera.names import noise_text
 from deepfsi.datasets.dataset import Dataset
-from deepfsi.designfile.provenance import new_scenes, training_hashes
+from deepfsi.designfile.provenance import TrainingScenes, new_scenes
 from deepfsi.evaluation.measures import MEASURES, main_measure
 from deepfsi.jobs.designs import DESIGNS
 from deepfsi.jobs.exposures import find_exposure
@@ -162,7 +162,7 @@ def _pooled(data: Dataset, folds: Sequence[Dataset]) -> Dataset:
 def _tested_labels(held_out: int, data: Dataset) -> np.ndarray:
     """Classes or values of the tested scenes: test scenes of the training were left out."""
     training = data.hold_out(held_out) if held_out else data
-    return new_scenes(training_hashes(training), data)[0].y_test
+    return new_scenes(TrainingScenes.of(training), data)[0].y_test
 
 
 def _of_all_folds(folds: Sequence[Record]) -> Record:

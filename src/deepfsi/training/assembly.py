@@ -108,7 +108,7 @@ def design_of(
         classifier=_copy(classifier, read, scenes.answers).to(device),
         info=info,
         values=training_set.values,
-        training_scenes=training_set.hashes,
+        training_scenes=training_set.known,
     )
     del design.info["job"]["training"], design.info["seconds"]  # unknown for a training elsewhere
     characterise(training_set, [job], [design])

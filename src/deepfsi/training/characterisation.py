@@ -22,6 +22,7 @@ from deepfsi.adaptive.exposure import (
     LeftOutAnswers,
     LeftOutScenes,
 )
+from deepfsi.datasets.alike import deal
 from deepfsi.datasets.dataset import Dataset
 from deepfsi.design.design import Design
 from deepfsi.designfile.design_file import CALIBRATION_REACH, Temperatures, calibration_budgets
@@ -194,23 +195,29 @@ def folds_of(data: Dataset) -> list[Dataset]:
     """Folds of a small training set: the test part of each is left out of its training part.
 
     Each fold has all classes in proportion; its test part is sorted by class. The only scene of a
-    class is never left out. Large sets and scenes with values have no folds.
+    class is never left out. Large sets and scenes with values have no folds. Pictures that are
+    alike are left out together, and one of them is tested.
     """
     n = len(data.x_train)
-    if not data.classes or n >= FEW_SCENES:
+    _, first = np.unique(data.alike, return_index=True)
+    if not data.classes or len(first) >= FEW_SCENES:
         return []
     labels = data.y_train
     order = np.random.default_rng(0).permutation(n)
     order = order[np.argsort(labels[order], kind="stable")]
     order = order[np.bincount(labels)[labels[order]] > 1]
     left = [order[start::FOLDS] for start in range(FOLDS)]
-    count = min(FOLDS, -(-LEFT_OUT * FOLDS // n))
-    return [_without(data, rows) for rows in left[:count] if len(rows)]
+    if len(first) < n:
+        part = deal(data.alike, labels, FOLDS, seed=0)
+        left = [np.flatnonzero(part == number) for number in range(FOLDS)]
+    count = min(FOLDS, -(-LEFT_OUT * FOLDS // len(first)))
+    return [_without(data, rows, first) for rows in left[:count] if len(rows)]
 
 
-def _without(data: Dataset, rows: np.ndarray) -> Dataset:
-    """Data whose test part is the given rows of the training scenes."""
+def _without(data: Dataset, rows: np.ndarray, tested: np.ndarray) -> Dataset:
+    """Data without the given rows of the training scenes; its test part are those `tested`."""
     kept = np.setdiff1d(np.arange(len(data.x_train)), rows)
+    rows = rows[np.isin(rows, tested)]
     return replace(
         data,
         x_train=data.x_train[kept],

@@ -182,7 +182,7 @@ def train(
         design.info = provenance(job, training_set.data, training_set.device)
         if callback is not None:
             design.info["history"] = [asdict(epoch) for epoch in epochs.history]
-        design.training_scenes = training_set.hashes
+        design.training_scenes = training_set.known
     left_out = []
     for fold, span in zip(folds, of_folds, strict=True):
         group = JobGroup(training_set.of(fold), jobs, matrix)
@@ -284,7 +284,7 @@ def _adaptive_designs(
                 classes=data.classes,
                 exposure=exposure,
                 info=info,
-                training_scenes=training_set.hashes,
+                training_scenes=training_set.known,
             )
         )
         span(1.0)
