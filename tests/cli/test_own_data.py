@@ -8,6 +8,7 @@ import pytest
 from PIL import Image
 
 from deepfsi import Design, from_arrays, learn
+from shared.pictures import save_images
 
 
 def save_pictures(folder, counts, side=8, seed=0):
@@ -65,7 +66,7 @@ def test_pictures_that_were_trained_on_are_told_apart_in_a_recorded_run(
         assert [scene["trained_on"] for scene in said["scenes"]].count(True) == trained
         new, old = (said["score"][name]["right"] for name in ("new", "trained_on"))
         printed = done("camera", "classify", file, run)
-        assert f"right: {new} of 18 new exposures (" in printed
+        assert f"right: {new} of 18 exposures, none recognised as trained on (" in printed
         assert (f"right: {old} of 72 exposures that were trained on" in printed) == bool(trained)
     words = ("--patterns", patterns, "--scenes", pictures, "-o", tmp_path / "lab")
     done("camera", "import", run / "photons.ptu", *words)
@@ -199,3 +200,44 @@ def test_pictures_that_were_trained_on_are_told_apart_in_a_live_run(done, pictur
     again = json.loads(done("camera", "classify", file, run, "--json"))
     assert [scene["trained_on"] for scene in again["scenes"]] == trained_on
     assert again["score"] == told["score"]
+
+
+def test_pictures_of_several_sizes_are_shown_as_the_design_has_them(done, refuse, pictures, file):
+    """A design with a size brings them to it, for `camera simulate` as for `design`."""
+    patterns, run = file.with_name("patterns"), file.with_name("run")
+    [first, *_] = sorted(pictures.rglob("*.png"))
+    with Image.open(first) as image:
+        larger = image.resize((16, 16), Image.Resampling.NEAREST)
+    larger.save(first)
+    shown = ("camera", "simulate", patterns, "--scene", pictures / "ash", *SHOWN, "-o", run)
+    done("design", "--data", pictures, "--size", 4, *TRAINED, *OPTICS, "-o", file)
+    done("dmd", "export", file, "--dmd", "64x48", "--dwell", "4ms", "-o", patterns)
+    assert "averaged to 4x4 pixels" in done(*shown)
+    scenes = json.loads((run / "acquisition.json").read_text())["scenes"]
+    assert next(scene["name"] for scene in scenes) == first.name
+    assert all("hash" in scene for scene in scenes)
+
+
+def test_a_virtual_detector_says_what_its_efficiency_leaves(done, pictures, patterns, tmp_path):
+    words = ("camera", "simulate", patterns, "--scene", pictures / "ash", "--exposure", "5ms")
+    light = ("--flux", "1e6", "-o")
+    said = done(*words, *light, tmp_path / "pmt", "--virtual", "pmt")
+    assert "5000 photons in an exposure, of which an efficiency of 0.2 leaves 1000" in said
+    assert "efficiency" not in done(*words, *light, tmp_path / "ideal", "--virtual", "ideal")
+
+
+def test_few_and_unequal_pictures_are_told(done, tmp_path):
+    """Noise has no class: what is learned by heart says nothing of others, at any light."""
+    rng = np.random.default_rng(6)
+    for label, count in (("ash", 80), ("oak", 40)):
+        save_images(tmp_path / "noise" / label, rng.integers(0, 256, (count, 8, 8), np.uint8))
+    words = ("design", "--data", tmp_path / "noise", "--masks", 32, "--photons", "1e6")
+    said = done(*words, "--epochs", 60, "-o", tmp_path / "noise.safetensors")
+    assert "note: classes have 32 to 64 training scenes" in said
+    assert "`training.balance` of a recipe, weighs all alike" in said
+    assert "in ten times the light: give more pictures, not more light" in said
+    even = {"ash": 30, "oak": 30, "yew": 30}
+    words = ("design", "--data", save_pictures(tmp_path / "leaves", even), "--photons", "1e6")
+    said = done(*words, "--masks", 8, "--epochs", 20, "-o", tmp_path / "even.safetensors")
+    assert "balance`" not in said
+    assert "not more light" not in said

@@ -11,6 +11,7 @@ from conftest import PHOTONS, every_optics, generator, light_on, quick, syntheti
 from deepfsi import evaluate
 from deepfsi.base.errors import InputError
 from deepfsi.datasets.arrays import from_arrays
+from deepfsi.evaluation.results import results_lines
 
 
 def test_more_draws_do_not_pretend_to_more_images(good, digits):
@@ -115,5 +116,8 @@ def test_a_pair_of_arrays_is_all_test(good, digits):
     two = np.isin(y, (3, 7))
     [few] = evaluate(good, (x[two], y[two]), 1e4, draws=1)
     assert (few.images, few.rates[0]) == (two.sum(), None)
+    said = [line for line in results_lines([few], title="", classes=good.classes)
+            if str(line).startswith("never tested")]  # fmt: skip
+    assert said == ["never tested, as the test has no scene of it: 0, 1, 2, 4, 5, 6, 8, 9"]
     [left] = evaluate(good, (digits.x_train[:9], digits.y_train[:9]), 1e4, draws=1)
     assert "all 9 test scenes were trained on" in left.covers

@@ -149,4 +149,8 @@ def test_the_confusion_matrix_is_that_of_the_best_design(tmp_path):
     ]
     text = words_of(page_of(tmp_path, results.with_points(points)))
     assert f"{best.title} at {photons_text(best.photons)} photons, over all trials" in text
-    assert text.count("87.5 12.5") == 1
+    assert text.count("87.5 12.5 8 ") == 1
+    counts[1] = 0
+    of_one = best.model_copy(update={"confusion": tuple(map(tuple, counts.tolist()))})
+    text = words_of(page_of(tmp_path, results.with_points([of_one])))
+    assert text.count("never tested") == 1

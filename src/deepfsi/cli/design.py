@@ -1,12 +1,16 @@
 """Commands that make a design, and that draw it or write it for others."""
 
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
 
 from deepfsi.base.errors import InputError
 from deepfsi.base.files import DESIGN_ENDINGS, write_atomically
 from deepfsi.base.models import Count
+from deepfsi.base.progress import SILENT
 from deepfsi.base.registry import check_report
 from deepfsi.camera.camera import Camera
 from deepfsi.cli import fields
@@ -14,9 +18,10 @@ from deepfsi.cli.command import Command
 from deepfsi.cli.evaluate import data_lines, evaluation_lines, with_classes
 from deepfsi.cli.fields import JOB_OPTIONS
 from deepfsi.cli.terminal import Outcome, Terminal
+from deepfsi.datasets.dataset import Dataset
 from deepfsi.datasets.load import load_dataset
 from deepfsi.evaluation.results import Result, lit_text
-from deepfsi.jobs.job import job_of
+from deepfsi.jobs.job import FEW_SCENES, Job, job_of
 from deepfsi.jobs.training import Training
 
 if TYPE_CHECKING:
@@ -89,6 +94,7 @@ class LearnDesign(Command):
                 job.exposure.describe(job.optics),
                 *evaluation_lines(design, results, job.camera.noise_name),
                 *_remarks(design, results, lit),
+                *_advice_on_pictures(job, design, scenes, results[0]),
                 f"saved: {self.out}",
             ],
         )
@@ -126,6 +132,33 @@ def _remarks(design: "Design", results: list[Result], lit: int) -> Iterator[str]
             f"cannot be told from guessing (log loss {left_out['log_loss']:.2f} ± "
             f"{2 * left_out['error']:.2f} nats, guessing {left_out['guessing']:.2f}): give more "
             f"scenes, more --photons, {other}, or another --design"
+        )
+
+
+def _advice_on_pictures(job: Job, design: "Design", data: Dataset, tested: Result) -> Iterator[str]:
+    """Advice on the training scenes: on classes of unequal size, and on more of few scenes."""
+    from deepfsi.evaluation.accuracy import evaluate
+
+    if not data.classes:
+        return
+    sizes = np.bincount(data.y_train)
+    usual = job.training.loss is None and not job.training.balance and not job.facts.adaptive
+    if usual and sizes.max() >= 2 * sizes.min():
+        yield (
+            f"note: classes have {sizes.min()} to {sizes.max()} training scenes, and rare ones are "
+            "answered less: `Training(balance=True)`, `training.balance` of a recipe, weighs all "
+            "alike"
+        )
+    if len(data.x_train) >= FEW_SCENES or tested.high > 0.95:
+        return
+    own = replace(data, x_test=data.x_train, y_test=data.y_train)
+    [learned] = evaluate(design, own, tested.photons, draws=1, report=SILENT)
+    [lit] = evaluate(design, data, 10 * tested.photons, draws=1, report=SILENT)
+    if learned.low > tested.high and lit.accuracy <= tested.high:
+        yield (
+            f"note: {learned.accuracy:.3f} of the training scenes are right and "
+            f"{tested.accuracy:.3f} of the test scenes, {lit.accuracy:.3f} in ten times the light: "
+            "give more pictures, not more light"
         )
 
 

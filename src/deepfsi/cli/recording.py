@@ -66,6 +66,14 @@ class _Run(Command):
         return {"flux": camera.flux, "seed": self.seed, "camera": shown}
 
 
+def _lost_light(acquisition: Acquisition) -> dict[str, str]:
+    """Words on the light that a virtual detector leaves, if it loses some."""
+    camera = VirtualCamera.model_validate(acquisition.camera or {})
+    if camera.efficiency == 1 or acquisition.flux is None:
+        return {}
+    return {"light": camera.light_text(acquisition.flux * acquisition.exposure_s)}
+
+
 class SimulateRun(_Run):
     """Without options, the design's camera gives exposure, flux, dark counts and dead time.
 
@@ -87,6 +95,7 @@ class SimulateRun(_Run):
             {
                 "folder": str(self.out),
                 "preprocessing": images.preprocessing,
+                **_lost_light(acquisition),
                 "acquisition": acquisition.model_dump(mode="json"),
             }
         )
@@ -172,7 +181,9 @@ class RecordRun(_DeviceRun):
                 dead_time=camera.counter_dead_time, click_gates=clicks, progress=report
             )
         after = f"run: {self.out}; then: deepfsi camera classify {self.patterns} {self.out}"
-        return Outcome(run.as_dict(counts), [*run.lines(counts), after])
+        light = _lost_light(acquisition)
+        words = [f"light: {text}" for text in light.values()]
+        return Outcome(run.as_dict(counts) | light, [*run.lines(counts), *words, after])
 
 
 class RunLive(_DeviceRun):
@@ -219,14 +230,21 @@ class RunLive(_DeviceRun):
             remarks=(*filter(None, [view and view.remark]), *lag_remarks(scenes)),
             view=view,
         )
+        light = _lost_light(run.settings)
         return Outcome(
             {
                 "folder": str(self.out),
                 "preprocessing": images.preprocessing,
                 "exposure_s": exposure_s,
+                **light,
                 **answers.as_dict(),
             },
-            [f"scenes: {images.preprocessing}", *answers.summary(), f"run: {self.out}"],
+            [
+                f"scenes: {images.preprocessing}",
+                *(f"light: {text}" for text in light.values()),
+                *answers.summary(),
+                f"run: {self.out}",
+            ],
         )
 
 

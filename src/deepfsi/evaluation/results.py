@@ -224,6 +224,10 @@ def results_lines(
     yield Table(title, ("photons", *columns, *light, "counted"), rows)
     if first.legend:
         yield first.legend
+    rates = first.rates if isinstance(first, Result) else []
+    if None in rates:
+        untested = [name for name, rate in zip(classes, rates, strict=True) if rate is None]
+        yield f"never tested, as the test has no scene of it: {', '.join(untested)}"
     yield f"± half of the 95 % interval: {first.covers}"
     yield (
         f"counts: {'clicks' if clicks else 'photons'} of a test scene in the mean; counted: share "

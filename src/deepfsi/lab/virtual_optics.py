@@ -77,6 +77,13 @@ class VirtualCamera(Detector):
             fluctuation=camera.fluctuation,
         )
 
+    def light_text(self, photons: float) -> str:
+        """Words on what the efficiency leaves of the photons of an exposure."""
+        return (
+            f"{photons:.4g} photons in an exposure, of which an efficiency of {self.efficiency:g} "
+            f"leaves {self.efficiency * photons:.4g}"
+        )
+
     def fluctuate(self, rates: np.ndarray, rng: np.random.Generator) -> np.ndarray:
         """Arrivals/s (p, inputs) of pictures, each with a random level; dark counts are steady."""
         if not self.fluctuation:
