@@ -98,7 +98,7 @@ ONE_BLOCK = zeros(np.s_[:4, :2], np.s_[:4, 2:4])
     ("attempt", "parts"),
     [
         (lambda: image(cube=LABELS), ("cube is of shape (60, 60),", "(height, width, bands)")),
-        (lambda: image(cube=np.where(CUBE == 300, np.nan, CUBE)), ("NaN",)),
+        (lambda: image(cube=np.where(CUBE == 300, np.nan, CUBE)), ("finite",)),
         (lambda: image(labels=LABELS[:-1]), ("map uint8 of shape (59, 60)", "(height, width)")),
         (lambda: image(labels=LABELS // 4), ("two classes or more",)),
         (lambda: IMAGE.parts("block"), ("unknown split 'block'", "'blocks'")),
