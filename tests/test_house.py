@@ -15,18 +15,18 @@ ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src/deepfsi"
 
 LINES = {
-    "adaptive": 1389,
+    "adaptive": 1388,
     "base": 1607,
     "camera": 1109,
     "cli": 1836,
     "counting": 3182,
     "datasets": 1858,
     "design": 1036,
-    "designfile": 1135,
-    "evaluation": 1237,
+    "designfile": 1139,
+    "evaluation": 1298,
     "exposure": 1041,
     "jobs": 1189,
-    "lab": 3135,
+    "lab": 3138,
     "patterns": 1143,
     "physics": 1689,
     "report": 939,
