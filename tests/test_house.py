@@ -19,7 +19,7 @@ LINES = {
     "base": 1607,
     "camera": 1109,
     "cli": 1836,
-    "counting": 3182,
+    "counting": 3183,
     "datasets": 1858,
     "design": 1036,
     "designfile": 1139,

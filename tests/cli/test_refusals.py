@@ -84,6 +84,11 @@ REFUSED = {
         --exposure 10s | give at most
         --dead-time 1us --dead-time-model nosuch | dead_time_model = 'nosuch'
     """,
+    "camera import tags.csv --out out.ptu --unit": """
+        0s | a tick of 0.0 s is not allowed
+        1e9s | a tick of 1000000000.0 s is not allowed
+        2e9s | up to 1e9
+    """,
     "show a.safetensors --out x.txt": "| end the name in .png",
     "camera inspect a.safetensors": "| is not a PTU file",
     "camera calibrate run --spots nosuch": "| no picture at nosuch",
@@ -141,6 +146,7 @@ def folder(tmp_path_factory):
     }
     for name, array in arrays.items():
         np.save(folder / f"{name}.npy", array)
+    (folder / "tags.csv").write_text("1,1\n2,1\n3,8\n")
     texts = {
         "key": 'lihgt = "column"\n',
         "unit": 'exposure = "10 parsec"\n',

@@ -146,6 +146,7 @@ def write_ptu(
     marker 0. Channels of detectors become inputs 1, 2, … in order; default: all other channels.
     Returns the channel of each input.
     """
+    opened = PtuWriter(path, tick_s)
     times = np.asarray(times)
     if times.dtype.kind == "f":
         times = np.rint(times / tick_s).astype(np.int64)
@@ -180,7 +181,7 @@ def write_ptu(
             )
     kept = np.flatnonzero(codes < most)
     order = kept[np.argsort(times[kept], kind="stable")]
-    with PtuWriter(path, tick_s) as writer:
+    with opened as writer:
         writer.write(times[order] - times[order[0]], codes[order])
     return inputs
 
