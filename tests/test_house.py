@@ -18,7 +18,7 @@ LINES = {
     "adaptive": 1388,
     "base": 1607,
     "camera": 1109,
-    "cli": 1836,
+    "cli": 1838,
     "counting": 3183,
     "datasets": 1858,
     "design": 1036,

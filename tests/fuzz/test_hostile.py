@@ -20,6 +20,7 @@ from scipy.linalg import hadamard
 
 from deepfsi.base.errors import InputError
 from deepfsi.base.files import read_toml
+from deepfsi.base.quantities import Table
 from deepfsi.base.tables import read_table
 from deepfsi.cli.terminal import Terminal
 from deepfsi.jobs.designs import read_matrix
@@ -301,6 +302,8 @@ def test_the_name_of_a_scene_that_a_person_shows_is_no_command(monkeypatch, caps
     monkeypatch.setattr(sys, "stdin", io.StringIO("\n"))
     Terminal(as_json=False).ask("show \x1b[31ma\x9b\u202eb")
     assert capsys.readouterr().err == "show  [31ma  b, then press Enter\n"
+    Terminal(as_json=False).say(Table("a\x1b", ["b\x9b"], [["c\u202e"]]))
+    assert not set(capsys.readouterr().out) & {"\x1b", "\x9b", "\u202e"}
 
 
 def test_a_damaged_design_is_no_camera(refuse, tmp_path):

@@ -76,13 +76,15 @@ def print_table(content: Table) -> None:
     from rich.console import Console
     from rich.table import Table as Grid
 
-    grid = Grid(title=content.title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
+    # names of files, classes and values may hold terminal commands
+    title, *heads = map(one_line, (content.title, *content.heads))
+    grid = Grid(title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
     grid.padding = (0, 1, 0, 0)
-    grid.min_width = len(content.title)
-    for number, head in enumerate(content.heads):
+    grid.min_width = len(title)
+    for number, head in enumerate(heads):
         grid.add_column(head, justify="right" if number else "left", overflow="fold")
     for row in content.rows:
-        grid.add_row(*map(one_line, row))  # names of files may hold terminal commands
+        grid.add_row(*map(one_line, row))
     console = Console(markup=False, emoji=False, highlight=False)
     if not console.is_terminal:  # a file or a pipe has no width
         unbounded = console.options.update(max_width=sys.maxsize)
