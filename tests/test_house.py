@@ -20,7 +20,7 @@ LINES = {
     "camera": 1109,
     "cli": 1838,
     "counting": 3183,
-    "datasets": 1858,
+    "datasets": 1859,
     "design": 1036,
     "designfile": 1139,
     "evaluation": 1298,

@@ -18,6 +18,7 @@ from PIL import Image, PngImagePlugin
 from scipy.io import savemat
 from scipy.linalg import hadamard
 
+from deepfsi import load_dataset
 from deepfsi.base.errors import InputError
 from deepfsi.base.files import read_toml
 from deepfsi.base.quantities import Table
@@ -229,6 +230,15 @@ def test_a_picture_of_very_many_pixels_costs_no_memory(sample):
     assert not fault_of("png", path)
     path.write_bytes(huge_png())
     refused("png", path, "bomb", 40e6)
+
+
+def test_a_picture_whose_tags_are_cut(tmp_path, recwarn):
+    for label in "ab":
+        (tmp_path / label).mkdir()
+        (tmp_path / label / "0.tif").write_bytes(b"II*\0\x08\0\0\0\xff\xff" + bytes(90))
+    with pytest.raises(InputError, match=r"0\.tif"):
+        load_dataset(tmp_path)
+    assert not recwarn.list
 
 
 def test_a_picture_of_few_bytes_and_many_pixels(tmp_path):

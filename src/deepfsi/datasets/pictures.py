@@ -210,7 +210,8 @@ def _read(path: Path) -> tuple[npt.NDArray[Any], bool]:
     content = read_regular(path, 2**28, "replace or remove it")
     try:
         with warnings.catch_warnings():
-            # Pillow itself only warns of huge images
+            # Pillow warns of damaged tags, and itself only warns of huge images
+            warnings.simplefilter("ignore")
             warnings.simplefilter("error", Image.DecompressionBombWarning)
             with Image.open(io.BytesIO(content), formats=formats) as image:
                 pixels = image.width * image.height
