@@ -367,8 +367,9 @@ def find_late(labelled: np.ndarray, light: np.ndarray) -> list[Fault]:
     """Fault of a run in which other scenes are dark, by their light (S,), than those (S,) to be."""
     if not labelled.any() or labelled.all():
         return []
-    # the black of a display is hardly ever more than a tenth of its pictures' light
-    dark = light <= 0.1 * np.median(light[~labelled])
+    # all scenes have the ambient light; a tenth of the pictures' light is none
+    black = light[labelled].max()
+    dark = light <= black + 0.1 * (np.median(light[~labelled]) - black)
     if (dark == labelled).all():
         return []
     detail = (

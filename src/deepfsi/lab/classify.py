@@ -227,13 +227,12 @@ def _classify_counts(
     lit = stated > 0  # dark counts that are stated may be more than all
     budgets = np.where(lit, stated, 1.0)
     test = CountTest(design)
-    dim = [] if force else test.find_dim(stated)
     to_be_dark = test.to_be_dark(scenes)
-    seen = counts.signal().reshape(len(scenes), -1).sum(axis=1) / counts.valid.sum(axis=1).clip(
-        min=1
-    )
-    late = find_late(to_be_dark, seen)
-    counts = replace(counts, faults=(*dim, *late, *test.find_repeated(counts), *counts.faults))
+    seen = counts.signal().reshape(len(scenes), -1).sum(axis=1)
+    seen /= counts.valid.sum(axis=1).clip(min=1)
+    dim = [] if force else test.find_dim(stated)
+    wrong = [*dim, *find_late(to_be_dark, seen), *test.find_repeated(counts)]
+    counts = replace(counts, faults=(*wrong, *counts.faults))
     usable = counts.valid & (lit & ~counts.spoilt & ~to_be_dark)[:, None]  # (S, R)
     if not usable.any():
         forced = "; `force` classifies them all the same" if dim else ""
