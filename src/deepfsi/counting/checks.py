@@ -368,7 +368,7 @@ def find_late(labelled: np.ndarray, light: np.ndarray) -> list[Fault]:
     if not labelled.any() or labelled.all():
         return []
     # all scenes have the ambient light; a tenth of the pictures' light is none
-    black = light[labelled].max()
+    black = light.min()
     dark = light <= black + 0.1 * (np.median(light[~labelled]) - black)
     if (dark == labelled).all():
         return []
