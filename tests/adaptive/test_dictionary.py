@@ -176,3 +176,6 @@ def test_a_dictionary_is_of_adaptive_masks_and_one_detector(digits):
     ):
         with pytest.raises(InputError, match=words):
             deepfsi.learn(digits, **settings, masks=4, photons=1e3, training={"dictionary": 10})
+    for optics in ({"arms": 2}, {"detectors": torch.zeros(X.shape[1], dtype=torch.long)}):
+        with pytest.raises(InputError, match="one detector and one arm"):
+            state_of(prior_with(), **optics)

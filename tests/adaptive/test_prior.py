@@ -171,3 +171,12 @@ def test_memory_holds_four_million_likelihoods_of_32_exposures_at_most():
     for scenes, exposures in ((2**17, 32), (2**17 + 1, 31), (2**20, 4), (2**23, 1)):
         prior.labels = torch.zeros(1).expand(scenes)
         assert prior.exposed_at_once == exposures
+
+
+def test_a_file_keeps_coefficients_to_half_a_step_of_the_largest():
+    x, labels = unequal()
+    prior = ScenePrior(0.5 + 1e-3 * x, labels, 3)  # all are far below 1
+    again = ScenePrior.restored(prior.arrays)
+    largest = prior.coefficients.abs().amax(dim=0)
+    error = (again.coefficients - prior.coefficients).abs().amax(dim=0)
+    assert (error <= 1.001 * largest / 254).all()

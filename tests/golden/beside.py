@@ -27,7 +27,7 @@ from types import SimpleNamespace
 from typing import Any
 from unittest import mock
 
-REFERENCE = "7b05d020e00485be24f132d64cdd9918100e52fa"
+REFERENCE = "d450720292638aeccef2f96954776d1cab7c9ce7"
 """Commit of the package with which floats and bytes are compared."""
 
 LEFT: frozenset[str] = frozenset()
