@@ -24,6 +24,7 @@ from deepfsi.counting.tables import TableSettings, count_table
 from deepfsi.datasets.dataset import Dataset
 from deepfsi.datasets.load import load_dataset
 from deepfsi.design.design import Design
+from deepfsi.designfile.misfit import FALSE_ALARM
 from deepfsi.lab.design_data import design_rails
 from deepfsi.lab.virtual_detector import Detector
 from deepfsi.patterns.folder import Patterns
@@ -75,16 +76,16 @@ def show(design: Design, data: Dataset, scenes: int) -> Shown:
 
 
 class Result(NamedTuple):
-    """Accuracy, its 95 % interval's half width over scenes, and the share of scenes unsure."""
+    """Accuracy, its 95 % interval's half width over scenes, and the share of scenes unlike."""
 
     accuracy: float
     error: float
-    unsure: float
+    unlike: float
     faults: int
 
     def __str__(self) -> str:
         faults = f", {self.faults} faults" if self.faults else ""
-        return f"{self.accuracy:.3f} ({self.unsure:.0%} unsure{faults})"
+        return f"{self.accuracy:.3f} ({self.unlike:.0%} unlike{faults})"
 
 
 def classify(shown: Shown, detector: Detector, dead: DeadTime, labels: np.ndarray) -> Result | None:
@@ -102,9 +103,10 @@ def classify(shown: Shown, detector: Detector, dead: DeadTime, labels: np.ndarra
     read = made.readouts(found.signal()[:, 0])
     background = made.readouts(found.background + found.excess.sum(axis=1))
     right = made.classify(read, found.photons).argmax(axis=-1) == labels
-    unsure = made.consistency(read, found.photons, background).unsure
+    each = zip(read, found.photons.tolist(), background, strict=True)
+    unlike = np.array([made.consistency(*scene) < FALSE_ALARM for scene in each])
     error = 1.96 * np.sqrt(right.var() / len(right))
-    return Result(right.mean(), error, unsure.mean(), len(found.faults))
+    return Result(right.mean(), error, unlike.mean(), len(found.faults))
 
 
 def measure(data: Dataset, masks: int, epochs: int, scenes: int) -> dict[tuple, tuple]:

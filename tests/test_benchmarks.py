@@ -115,7 +115,7 @@ def test_networks_of_both_types_are_timed_and_compared(printed, monkeypatch):
 
 
 def test_the_correction_for_dead_time_brings_back_what_was_lost(made, digits):
-    """At 50 ns and some 10⁷ counts/s, as many scenes are unsure as without dead time."""
+    """At 50 ns and some 10⁷ counts/s, as many scenes are unlike as without dead time."""
     bench = benchmark("dead_time")
     shown = bench.show(made("deepfsi", "free-dwell", "single"), digits, 100)
     ideal, before, after = (
@@ -126,5 +126,5 @@ def test_the_correction_for_dead_time_brings_back_what_was_lost(made, digits):
             (bench.Detector(dead_time_s=5e-8), 5e-8),
         )
     )
-    assert before.unsure > 0.5 > 0.1 > max(after.unsure, ideal.unsure)
+    assert before.unlike > 0.5 > 0.1 > max(after.unlike, ideal.unlike)
     assert after.faults == 0

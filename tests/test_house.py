@@ -26,7 +26,7 @@ LINES = {
     "evaluation": 1298,
     "exposure": 1041,
     "jobs": 1189,
-    "lab": 3137,
+    "lab": 3139,
     "patterns": 1143,
     "physics": 1689,
     "report": 939,

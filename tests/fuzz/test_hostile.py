@@ -86,8 +86,9 @@ def bright(light):
     return change
 
 
-def beyond_all_light(header, tensors):
-    tensors["distribution.directions"][:] = 1e30
+def spread_below_0(header, tensors):
+    tensors["misfit.budgets"] = np.array([1.0, 10.0, 100.0])
+    tensors["misfit.logarithms"] = -np.ones((2, 3, 1))
 
 
 @pytest.mark.parametrize(
@@ -100,7 +101,7 @@ def beyond_all_light(header, tensors):
         *(("design", reflectance(value)) for value in (0, -1, 1e-300, None, "x")),
         *(("design", reflectance(value)) for value in (float("nan"), float("inf"))),
         *(("design", bright(light)) for light in ("column", "equal-dwell")),
-        ("design", beyond_all_light),
+        ("design", spread_below_0),
     ],
 )
 def test_a_design_that_no_training_gives(reader, change, sample):

@@ -111,6 +111,6 @@ def test_a_design_for_unsteady_light_compares_no_counts(digits, tmp_path):
     design = deepfsi.learn(digits, photons=1e4, masks=4, camera=camera, training=few)
     kept = deepfsi.load_design(design.save(tmp_path / "d.safetensors"))
     assert kept.camera.fluctuation == 0.1
-    assert kept.distribution is None
+    assert kept.usual_misfit is None
     with pytest.raises(InputError, match="a page draws photon and dark counts of steady light"):
         check_playable(kept)

@@ -320,7 +320,9 @@ def camera_of(source: Path, settings: Mapping[str, Any] = MappingProxyType({})) 
     file = next((file for file in files if file.is_file()), source)
     camera = None
     if file.is_file():
-        camera = trained_camera(DesignFile.read(file, ()).header.info)
+        # whoever opens the design of a folder says what is wrong with it
+        with suppress(*[InputError] * source.is_dir()):
+            camera = trained_camera(DesignFile.read(file, ()).header.info)
     return Camera.of_run(camera, **settings)
 
 
