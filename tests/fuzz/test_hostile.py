@@ -87,8 +87,8 @@ def bright(light):
 
 
 def spread_below_0(header, tensors):
-    tensors["misfit.budgets"] = np.array([1.0, 10.0, 100.0])
-    tensors["misfit.logarithms"] = -np.ones((2, 3, 1))
+    tensors["misfit.budgets"] = torch.tensor([1.0, 10.0, 100.0]).double()
+    tensors["misfit.logarithms"] = -torch.ones(2, 3, 1).double()
 
 
 @pytest.mark.parametrize(
