@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import polars
 import pytest
+import torch
 from PIL import Image, PngImagePlugin
 from scipy.io import savemat
 from scipy.linalg import hadamard
