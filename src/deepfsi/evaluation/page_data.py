@@ -202,7 +202,7 @@ def _usual(
         "deviations": [-float(ndtri(chance)), -float(ndtri(chance / 2))],
         "lights": [
             {
-                "limits": np.nan_to_num(light).tolist(),  # JSON has no infinity
+                "limits": light.tolist(),
                 "expected": float((each.masks @ model.mean).sum()),
                 "spread": model.light(each, light).spread,
             }

@@ -21,7 +21,7 @@ from deepfsi.designfile.view_test import SceneModel, SceneReadouts, ViewResult, 
 if TYPE_CHECKING:  # it imports torch, which the command line loads late
     from deepfsi.design.design import Design
 
-DARK = "dark"
+DARK_LABEL = "dark"
 """Label of scenes without light, whose places tell a display that lags."""
 
 
@@ -60,7 +60,8 @@ class CountTest:
 
     def to_be_dark(self, scenes: Sequence[Scene]) -> np.ndarray:
         """Scenes (S,), bool, that are shown without light: `dark`, unless that is a class."""
-        return np.array([DARK not in self._design.classes and s.label == DARK for s in scenes])
+        told = DARK_LABEL not in self._design.classes
+        return np.array([told and scene.label == DARK_LABEL for scene in scenes])
 
     def find_dim(self, budgets: np.ndarray, first: int = 0) -> list[Fault]:
         """Faults of scenes, from `first`, whose budgets (S,) are far below the training's."""

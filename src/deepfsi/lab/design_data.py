@@ -12,7 +12,7 @@ such views of scenes fits the camera.
 import hashlib
 import os
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from dataclasses import replace
 from math import prod
 from pathlib import Path
@@ -321,7 +321,7 @@ def camera_of(source: Path, settings: Mapping[str, Any] = MappingProxyType({})) 
     camera = None
     if file.is_file():
         # whoever opens the design of a folder says what is wrong with it
-        with suppress(*[InputError] * source.is_dir()):
+        with suppress(InputError) if source.is_dir() else nullcontext():
             camera = trained_camera(DesignFile.read(file, ()).header.info)
     return Camera.of_run(camera, **settings)
 

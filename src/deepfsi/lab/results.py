@@ -21,7 +21,7 @@ from deepfsi.counting.checks import SPOILING, Fault
 from deepfsi.designfile.misfit import FALSE_ALARM
 from deepfsi.designfile.provenance import Score, score_lines, score_of
 from deepfsi.designfile.view_test import ViewResult
-from deepfsi.lab.count_test import DARK
+from deepfsi.lab.count_test import DARK_LABEL
 
 LOG = "shown.jsonl"
 """File of the finished scenes of a live run."""
@@ -106,8 +106,8 @@ class LoggedScene(StrictModel):
 def lag_remarks(scenes: Sequence[Scene]) -> tuple[str, ...]:
     """Sentence on a display that lags, unless a scene that is to be dark would tell."""
     words = "a display that lags by a whole scene cannot be seen: begin with a black one, labelled"
-    told = len(scenes) < 2 or any(scene.label == DARK for scene in scenes)
-    return () if told else (f"{words} `{DARK}`",)
+    told = len(scenes) < 2 or any(scene.label == DARK_LABEL for scene in scenes)
+    return () if told else (f"{words} `{DARK_LABEL}`",)
 
 
 def mark_early(answers: Sequence["ClassifiedScene"]) -> tuple["ClassifiedScene", ...]:

@@ -5,7 +5,7 @@ is trained on all scenes.
 """
 
 from collections.abc import Sequence
-from copy import copy
+from copy import copy, deepcopy
 from dataclasses import asdict, replace
 from importlib.metadata import version
 from math import prod
@@ -56,7 +56,7 @@ def characterise(
     designs: Sequence[Design],
     left_out: Sequence[tuple[Dataset, Sequence[Design]]] = (),
 ) -> None:
-    """Give trained designs their distribution, scene model and temperatures, from simulation."""
+    """Give trained designs usual misfit, scene model and temperatures, from simulation."""
     if designs[0].exposure.comparable and designs[0].camera.clicks is None:
         _model_counts(training_set, jobs, designs)
     for index, (job, design) in enumerate(zip(jobs, designs, strict=True)):
@@ -108,23 +108,32 @@ def _model_counts(
     if not SceneModel.are_enough(np.bincount(labels, minlength=len(designs[0].classes))):
         return
     model = SceneModel.fit(scenes, labels)
+    # The designs of a training have masks of one kind, and so counts of one shape
+    fewer = min(2048, len(sample_scenes(len(scenes), prod(designs[0].counts_shape))))
+    scenes = scenes[:fewer]
+    labels = labels[:fewer]
+    rng = np.random.default_rng([0, 12])
+    folds = np.array_split(rng.permutation(fewer), 4)
+    others = [SceneModel.fit(np.delete(scenes, f, 0), np.delete(labels, f)) for f in folds]
     for job, design in zip(jobs, designs, strict=True):
         design.scene_model = model
         # readouts of a frame share noise under unsteady light, which the test lacks
         if not design.camera.fluctuation:
-            fewer = min(2048, len(sample_scenes(len(scenes), prod(design.counts_shape))))
-            misfit = _usual_misfit(design, job.photons, scenes[:fewer], labels[:fewer])
-            design.usual_misfit = misfit
+            left_out = zip(folds, others, strict=True)
+            design.usual_misfit = _usual_misfit(
+                design, job.photons, scenes, list(left_out), deepcopy(rng)
+            )
 
 
 def _usual_misfit(
-    design: Design, photons: float, scenes: np.ndarray, labels: np.ndarray
+    design: Design,
+    photons: float,
+    scenes: np.ndarray,
+    left_out: Sequence[tuple[np.ndarray, SceneModel]],
+    rng: np.random.Generator,
 ) -> UsualMisfit:
-    """Misfit of simulated exposures of scenes (n, N), each by the model of other scenes."""
+    """Misfit of simulated exposures of scenes (n, N): of each fold by the model of the others."""
     exposure = design.mask_exposure
-    rng = np.random.default_rng([0, 12])
-    folds = np.array_split(rng.permutation(len(scenes)), 4)
-    others = [SceneModel.fit(np.delete(scenes, f, 0), np.delete(labels, f)) for f in folds]
     with torch.no_grad():
         shown = torch.from_numpy(scenes).float().to(exposure.device)
         rates = exposure.rates(design.scanner(), shown).double().cpu().numpy()
@@ -132,7 +141,7 @@ def _usual_misfit(
     misfits = np.empty((len(budgets), 1, len(scenes)))
     for row, budget in enumerate(budgets.tolist()):
         counts = rng.poisson(rates * budget).astype(float)
-        for fold, model in zip(folds, others, strict=True):
+        for fold, model in left_out:
             readouts = exposure.scene_readouts(counts[fold], budget, 0.0)
             misfits[row, 0, fold] = model.misfit(readouts)
     return UsualMisfit.of(budgets, misfits, scenes.sum(axis=1), rates.sum(axis=(1, 2)))
