@@ -141,9 +141,12 @@ class Header:
                 f"{MAGIC!r}; give times and channels of other formats to `deepfsi camera import`, "
                 "as two columns"
             )
+        whole = whole or len(data) >= LONGEST_HEADER
+        if not whole and b"Header_End" not in data:
+            return None  # or each piece of a long header is parsed with all before it
         whole_numbers, floats, offset = _parse_tags(data, path)
         if not offset:
-            if whole or len(data) >= LONGEST_HEADER:
+            if whole:
                 raise InputError(
                     f"{path} is not a PTU file, or its header has no end within {LONGEST_HEADER} "
                     "bytes"
