@@ -337,6 +337,9 @@ def test_any_mixture_of_classes_is_no_gain():
         mixed = 1e9 * ((1 - part) * np.array(shares[0]) + part * np.array(shares[1]))
         found = checks.find_unequal_gains(detectors_of(mixed[:, None]), known_shares)
         assert len(found) == faults
+    for rest in np.random.default_rng(0).normal(0, 3e-13, (30, 3, 40)):  # no light, by rounding
+        unlit = detectors_of(1000 + rest, dark=1000.0)
+        assert not checks.find_unequal_gains(unlit, known_shares)
 
 
 @pytest.mark.parametrize("dark", [0.0, 5e3])

@@ -313,13 +313,13 @@ def find_unequal_gains(detectors: Sequence[PassLight], trained: DetectorMap | No
     seconds = np.where(seconds > 0, seconds, np.inf)
     rates = photons / seconds - np.array([light.background.rate for light in detectors])
     total = rates.sum()
-    if not total > 0:
+    noise = np.sqrt(((photons + 1) / seconds**2).sum(axis=1))
+    if not total > noise.max():  # without light, shares are of noise
         return []
     share = rates.sum(axis=1) / total
     classes = np.array(trained.shares).T
     spread = np.array(trained.spread) / np.sqrt(rates.shape[1])
-    noise = np.sqrt(((photons + 1) / seconds**2).sum(axis=1)) / total
-    allowed = HARMLESS * classes.max(axis=1) + CERTAIN_SIGMAS * np.hypot(spread, noise)
+    allowed = HARMLESS * classes.max(axis=1) + CERTAIN_SIGMAS * np.hypot(spread, noise / total)
     departure, nearest = _nearest_mixture(share, classes, allowed)
     if departure <= 1:
         return []
