@@ -15,14 +15,14 @@ ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src/deepfsi"
 
 LINES = {
-    "adaptive": 1388,
+    "adaptive": 1386,
     "base": 1607,
     "camera": 1109,
     "cli": 1838,
-    "counting": 3184,
+    "counting": 3168,
     "datasets": 1859,
     "design": 1036,
-    "designfile": 1141,
+    "designfile": 1140,
     "evaluation": 1298,
     "exposure": 1041,
     "jobs": 1189,

@@ -257,6 +257,9 @@ def test_groups_of_the_likeliest_classes_differ_by_their_mean_scenes(arms):
             off = np.abs(found[row][:, None] - [differ, -differ]).max(axis=2)
             if chances[alone] > 1e-4 and chances[others].sum() > 1e-4:
                 assert (off < 2e-3).sum() == 3 - arms
+    x, labels = rng.random((60, PIXELS), np.float32), np.arange(60) % 6
+    six = AdaptivePosterior(ScenePrior(x, labels, 6), 1, posterior.LookOptics(9.0, arms=arms))
+    assert six.group_differences().shape[1] == 7 * (3 - arms), "of four classes"
 
 
 @pytest.mark.parametrize("optics", [{}, {"dark": 40.0}, {"arms": 2}, {"detectors": QUARTERS}])

@@ -239,9 +239,10 @@ def test_the_error_of_trainings_is_without_that_share_of_images_and_draws(off):
     assert np.mean(squares) == pytest.approx(wanted, abs=5 * np.std(squares) / 4000**0.5 + 3e-4)
 
 
-def test_one_training_on_images_has_students_interval():
-    values = np.random.default_rng(0).normal(0.4, 1, 7)
-    half = stats.t.ppf(0.975, 6) * values.std(ddof=1) / 7**0.5
+@pytest.mark.parametrize("images", [2, 7])
+def test_one_training_on_images_has_students_interval(images):
+    values = np.random.default_rng(0).normal(0.4, 1, images)
+    half = stats.t.ppf(0.975, images - 1) * values.std(ddof=1) / images**0.5
     mean, low, high = image_interval(values)
     assert (mean, mean - low, high - mean) == pytest.approx((values.mean(), half, half))
     assert image_interval(values[:1]) == (values[0],) * 3

@@ -37,7 +37,7 @@ def curve_of(photons, seconds=1.0, name="", sees_part=False) -> flux.LightCurve:
 def known(passes, rate, seconds=1e6) -> Background:
     """Background that is known well."""
     every = np.ones(passes)
-    return Background(rate * seconds * every, seconds * every, [slice(0, passes)])
+    return Background(rate * seconds * every, seconds * every)
 
 
 def test_p_values_are_binomial():
@@ -77,7 +77,7 @@ def dark(rng, mean):
     light = 20 * mean
     rates = np.append([light + mean, mean], np.zeros(MASKS))
     rates = np.append(rates, [light + mean, mean + HARMLESS_DARK * light])
-    return rates, np.ones(FRAMES), mean, 1 / 2
+    return rates, np.full(FRAMES, 1e4), mean / 1e4, 1 / 2
 
 
 BORDERS = {"brighter": bright, "unsteady": steady, "unsteady in the dark": dark}
@@ -90,7 +90,7 @@ def test_so_many_passes_are_called_faulty_as_the_level_says(kind, mean):
     counts, seconds, background, share = BORDERS[kind](rng, mean)
     curve = curve_of(drawn(rng, np.tile(counts, (PASSES, 1))), seconds)
     every = np.ones(PASSES, bool)
-    light = PassLight(curve, known(PASSES, background), every, every.copy())
+    light = PassLight(curve, known(PASSES, background, 1e10), every, every.copy())
     found = sum(fault.kind == kind.split()[0] for fault in light.find_faults(LEVEL))
     wanted = PASSES * -np.expm1(-share * LEVEL / PASSES)
     assert wanted * (0.5 if mean < 1e3 else 0.93) - 5 * wanted**0.5 < found
@@ -134,7 +134,7 @@ def test_levels_of_light_have_the_error_of_their_photons_and_of_the_background(l
     for _ in range(runs):
         rates = light * np.array([1 + HARMLESS, 1]) + dark
         on = drawn(rng, seconds * rates)
-        background = Background(drawn(rng, [dark * dark_s] * 2), np.full(2, dark_s), [])
+        background = Background(drawn(rng, [dark * dark_s] * 2), np.full(2, dark_s))
         made = flux_of(on, ALIKE, background, level=level, seconds=seconds)
         found += len(made.levels) > 1
     assert abs(found / runs - level / 2) < 5 * (level / 2 / runs) ** 0.5
@@ -172,9 +172,10 @@ def test_every_stretch_of_another_light_is_found(passes, slope):
             dark = curve_of(np.stack([1e7 + on, on, 1e7 + on, on], axis=1), 0.5)
             background = Background.of(dark, 1e-3)
             np.testing.assert_allclose(background.rate, 2 * np.repeat(rates, np.diff(edges)))
-            night = curve_of(np.repeat(on.round(-5)[:, None], 4, axis=1), 1e9)
-            for seen in (background, Background.of(night, 1e-3)):
-                assert sorted(each.start for each in seen.segments) == edges[:-1].tolist()
+            night = curve_of(on.round(-5)[:, None] * [0.1, 1, 0.1, 1], 1e9)
+            for seen, second in ((background, 1.0), (Background.of(night, 1e-3), 2e9)):
+                lengths = np.diff(edges).repeat(np.diff(edges))
+                np.testing.assert_allclose(seen.seconds, second * lengths)
 
 
 def test_passes_that_are_not_used_have_the_level_before_them():
@@ -211,6 +212,20 @@ def test_a_lamp_that_fades_is_told_beyond_what_a_line_through_scenes_may_show(
         assert (made.trend is not None) is fades
     assert made.trend == pytest.approx(np.exp(1.03 * sound))
     assert flux_of(np.geomspace(1e6, 1e9, 4), wide).trend is None, "a line through four passes"
+
+
+def test_a_light_fades_where_a_line_leaves_smaller_squares_than_a_step():
+    """Over 12 passes less two of the line; or less two levels, and the edge between them."""
+    wide = Brightness(low=0.0, high=100.0, between=2.0, within=0.0)
+    when, fades = np.arange(12), []
+    for share in np.linspace(0.5, 0.7, 41):
+        logs = np.log(8) * (share * when / 11 + (1 - share) * (when > 5))
+        line = np.polyval(np.polyfit(when, logs, 1), when)
+        levels = np.log(np.exp(logs).reshape(2, 6).mean(axis=1)).repeat(6)
+        by_line, by_step = (((logs - each) ** 2).sum() for each in (line, levels))
+        fades.append(by_line / 10 < by_step / 9)
+        assert (flux_of(1e9 * np.exp(logs), wide).trend is not None) is fades[-1].item()
+    assert len({*fades}) == 2
 
 
 @pytest.mark.parametrize(
@@ -342,13 +357,13 @@ def test_any_mixture_of_classes_is_no_gain():
         assert not checks.find_unequal_gains(unlit, known_shares)
 
 
-@pytest.mark.parametrize("dark", [0.0, 5e3])
-def test_a_detector_is_blind_where_it_surely_lacks_the_harmless_light(dark):
-    """5 % of the mean light of all detectors, less six deviations of what it counts."""
-    light = np.array([[3e4, 3e4], [3e4, 3e4], [3e4, 3e4], [0, 0]])
+@pytest.mark.parametrize(("lit", "dark"), [(3e4, 0.0), (3e4, 5e3), (81.0, 0.0)])
+def test_a_detector_is_blind_where_it_surely_lacks_the_harmless_light(lit, dark):
+    """5 % of the mean light of all detectors, less six deviations of what it counts and of one."""
+    light = np.array([[lit, lit], [lit, lit], [lit, lit], [0, 0]])
     manifest_of = schedule([1000]).model_copy(update={"detectors": DetectorMap(count=4)})
-    rest = np.linspace(0, 3e3, 30_001)
-    sure = 0.05 * (1.8e5 + rest) / 4 - rest > 6 * np.sqrt(8 * dark + rest)
+    rest = np.linspace(0, lit / 10, 30_001)
+    sure = 0.05 * (6 * lit + rest) / 4 - rest > 6 * np.sqrt(8 * dark + rest + 1)
     border = float(rest[~sure][0])
     for counted, kinds in ((0.98 * border, ["blind"]), (1.02 * border, [])):
         light[3] = counted / 2
@@ -357,6 +372,18 @@ def test_a_detector_is_blind_where_it_surely_lacks_the_harmless_light(dark):
         arrivals = Arrivals(manifest_of.frames, photons, photons, np.ones((2, 5)))
         faults = check_light(arrivals, manifest_of, (0, 1, 2, 3)).faults
         assert [fault.kind for fault in faults if fault.kind == "blind"] == kinds
+
+
+def test_a_scene_is_dark_below_a_tenth_of_the_light_of_the_lit_ones():
+    labelled = np.arange(5) == 2
+    for dim, kinds in ((0.09, ["late"]), (0.11, [])):
+        light = 7 + np.array([1, dim, 0, 1, 1])
+        found = checks.find_late(labelled, light)
+        assert [fault.kind for fault in found] == kinds
+        assert all("dark scenes are [1, 2], and the labelled ones [2]" in str(one) for one in found)
+        assert not checks.find_late(labelled | True, light) + checks.find_late(
+            labelled & False, light
+        )
 
 
 def border_lit(rng, passes, manifest):
@@ -398,7 +425,8 @@ def test_a_live_run_follows_its_light_and_names_a_change_once():
     monitor, lamp = LightMonitor(one_arm, (0,), 6), [1e6, 1e6, 4e6, 0, 4e6, 4e6]
     seconds = np.full(7, 0.5)
     for scene, rate in enumerate(lamp):
-        photons = 0.5 * (2e3 + np.array([rate, 0, rate / 2, rate / 4, rate / 2, rate, 0]))[:, None]
+        dark = 2e3 if scene < 3 else 9e4
+        photons = 0.5 * (dark + np.array([rate, 0, rate / 2, rate / 4, rate / 2, rate, 0]))[:, None]
         if scene == 4:
             photons[-2] /= 2
         lists = [
@@ -408,7 +436,7 @@ def test_a_live_run_follows_its_light_and_names_a_change_once():
         lit, faults = monitor.begin(lists[0])
         assert lit is (rate > 0)
         assert [(fault.kind, fault.scene) for fault in faults] == [("level", 2)] * (scene == 2)
-        assert monitor.dark == pytest.approx([2e3])
+        assert monitor.dark == pytest.approx([dark])
         if lit and scene < 5:
             assert monitor.flux == pytest.approx(rate)
         if faults:

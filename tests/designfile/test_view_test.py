@@ -1,6 +1,7 @@
 """Test of the view of a run: its law, false alarms and power."""
 
-from itertools import islice
+import re
+from itertools import islice, product
 from types import SimpleNamespace
 
 import numpy as np
@@ -63,7 +64,7 @@ def test_the_evidence_is_that_of_normal_laws(model, masks, digits):
     seen = view_test.orientation_faults, view_test.view_faults, view_test.dark_faults
     faults = [view for kind in seen for view in kind(SHAPE)]
     masks = np.concatenate([masks, 0 * masks[:1]])  # the last frame is dark
-    inputs, noise = np.arange(MASKS + 1) % 2, rng.uniform(0, 30, MASKS + 1)
+    inputs, noise = np.arange(MASKS + 1) % 3, rng.uniform(0, 30, MASKS + 1)
     for scenes in (digits.x_test[[3, 3, 3]], digits.x_test[:5]):
         test, logs = ViewTest(model, SHAPE), np.zeros(len(sound) + len(faults))
         counts = rng.poisson(masks @ scenes.T.astype(float)).T
@@ -116,6 +117,8 @@ def test_a_model_has_the_moments_of_its_scenes(scenes, pixels, classes):
     assert (np.diff((axes**2).sum(axis=1)) < 1e-3).all()
     np.testing.assert_allclose((axes**2).sum(axis=0) + model.rest, np.diag(covariance), atol=4e-3)
     np.testing.assert_allclose(model.shares, np.bincount(labels) / scenes, rtol=1e-3)
+    light = model.light(SceneReadouts.all_on(x.sum(axis=1), 1.0, 0.0, pixels), np.zeros(2))
+    assert (light.share.mean(), light.share.std()) == pytest.approx((1, light.spread), rel=0.1)
 
 
 def test_a_model_of_other_masks_is_refused(model):
@@ -222,13 +225,27 @@ def test_faults_are_what_their_words_say(shape, harmless):
             down, right = (np.arange(-32, 33) @ seen.sum(axis=axis) for axis in (1, 0))
             assert np.degrees(np.arctan2(down, right)) == pytest.approx(sign * degrees, abs=0.5)
     ends = {"top": -1, "bottom": 1, "left": -1, "right": 1}
-    for words in [each for each in found if height > 1 and not harmless]:
+    corners = product(("top", "bottom"), ("left", "right"))
+    for corner in corners if height > 1 and not harmless else ():
+        words = f"smaller by about 1/8, at its {' '.join(corner)} corner"
         seen = lit_by(found.pop(words), shape)
         assert seen.sum() == pytest.approx((7 / 8 * 9) ** 2, rel=0.02)
         off = [np.arange(-4, 5) @ seen.sum(axis=axis) / seen.sum() for axis in (1, 0)]
-        corner = words.removeprefix("smaller by about 1/8, at its ").removesuffix(" corner")
-        assert off == pytest.approx([9 / 16 * ends[end] for end in corner.split()], abs=0.05)
+        assert off == pytest.approx([9 / 16 * ends[end] for end in corner], abs=0.05)
     assert not found
+
+
+@pytest.mark.parametrize(
+    ("shape", "places"), [((8, 8), 80), ((3, 5), 23), ((1, 40), 8), ((32, 32), 80), ((33, 32), 0)]
+)
+def test_dark_places_are_where_their_words_say(shape, places):
+    seen = {view.words: lit_by(view, shape) for view in view_test.dark_faults(shape)}
+    for words, light in seen.items():
+        top, bottom, left, right = map(int, re.findall(r"\d+", words))
+        dark = np.ones(shape)
+        dark[top - 1 : bottom, left - 1 : right] = 0
+        assert np.array_equal(light, dark)
+    assert len(seen) == len([*view_test.dark_faults(shape)]) == places
 
 
 def test_orientations_are_what_their_words_say():

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from deepfsi.evaluation.measures import BINS, ClassAnswers, ValueAnswers, confidence_error
+from deepfsi.evaluation.measures import ClassAnswers, ValueAnswers, confidence_error
 from deepfsi.evaluation.results import Estimates, Result, results_lines
 
 TEST = {"photons": 1e3, "noise": "poisson", "covers": "", "counts": 0.0, "arriving": 0.0}
@@ -53,7 +53,10 @@ def test_draws_of_a_scene_stand_together_in_their_order():
     assert (result.throughput, result.photons_per_mask) == (0.75, [500, 250])
 
 
-def test_calibration_error_is_that_of_groups_written_out():
-    confidence = np.repeat([0.5, 0.7, 1.0], 20 * BINS)
-    right = np.concatenate([np.tile([1, 0], 10 * BINS), np.ones(40 * BINS)])
-    assert confidence_error(confidence, right) == pytest.approx((0 + 0.3 + 0) / 3)
+def test_calibration_error_is_that_of_fifteen_groups():
+    """Each of one size: of thirty answers, pairs whose errors do not cancel, and do."""
+    confidence = np.repeat(np.linspace(0.1, 0.8, 15), 2)
+    right = np.tile([1.0, 0.0], 15)
+    wanted = np.abs(np.linspace(0.1, 0.8, 15) - 0.5).mean()
+    assert confidence_error(confidence, right) == pytest.approx(wanted)
+    assert confidence_error(confidence[:3], right[:3]) == pytest.approx((0.9 + 0.1 + 0.85) / 3)

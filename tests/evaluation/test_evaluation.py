@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from conftest import PHOTONS, every_optics, generator, light_on, quick, synthetic
+from conftest import PHOTONS, every_optics, generator, light_on, quick
 from deepfsi import evaluate
 from deepfsi.base.errors import InputError
 from deepfsi.datasets.arrays import from_arrays
@@ -91,7 +91,7 @@ def test_what_is_not_the_designs_is_refused(good, digits):
     x, y = digits.x_test, digits.y_test
     flat = from_arrays(digits.x_train.reshape(-1, 4, 16), digits.y_train, classes=digits.classes)
     for match, data in {
-        "and the design answers 0, 1": synthetic((8, 8)),
+        " 11, and the design answers 0, 1": from_arrays(x.reshape(-1, 8, 8), np.arange(360) % 20),
         "of shape .*4, 16": flat,
         "holds the label 10": (x, y + 1),
         "359,. for 360 scenes": (x, y[:-1]),

@@ -69,4 +69,4 @@ def draw_scenes(weights: Tensor, generator: torch.Generator, count: int) -> tupl
     points = (torch.arange(count) + start) / count
     sums = weights.cumsum(dim=1)
     indices = torch.searchsorted(sums, points * sums[:, -1:])
-    return indices.clamp(max=scenes - 1), torch.full_like(points, 1 / count)
+    return indices, torch.full_like(points, 1 / count)

@@ -68,7 +68,7 @@ class _MaskTables:
         """Tables of masks (P, N) for a share of the exposure."""
         count = len(masks)
         scenes = len(prior)
-        needed = 4 * scenes * (3 * count + 6 * TABLED)
+        needed = 12 * scenes * (count + 2 * TABLED)
         advice = "give fewer scenes, or a smaller `dictionary`"
         check_memory(needed, "the tables of these masks and scenes", advice)
         gain = optics.photons / prior.summed_reflectance * share
@@ -91,7 +91,7 @@ class _MaskTables:
                 counts = light.clamp_(min=least).mul_(gain).add_(dark)
                 expected = counts @ weights
                 variance = nearby[rows]
-                size = (expected**2 / variance.clamp(min=1e-30)).clamp(max=LARGEST_SIZE)
+                size = (expected**2 / variance).clamp(max=LARGEST_SIZE)
                 roots = 2 * (counts + 3 / 8).sqrt()
                 roots -= (roots @ weights)[:, None]
                 scale[:, rows - part[0]] = roots.T.numpy()
@@ -163,7 +163,6 @@ class DictionaryPosterior(AdaptivePosterior):
         prior: ScenePrior,
         exposures: int,
         optics: LookOptics,
-        *,
         share: float,
     ) -> None:
         super().__init__(prior, exposures, optics)

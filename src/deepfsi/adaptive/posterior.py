@@ -218,7 +218,7 @@ class ScenePrior:
         differences = []
         for scenes in self.coefficients.split(self.sizes):
             with threadpool_limits(1):  # threads would add up in any order
-                means = KMeans(clusters, n_init=1, random_state=0).fit(scenes.numpy())
+                means = KMeans(clusters, random_state=0).fit(scenes.numpy())
             cluster = torch.from_numpy(means.labels_).long()
             members.append(torch.bincount(cluster, minlength=clusters).float())
             if not members[-1].all():
@@ -244,7 +244,7 @@ class ScenePrior:
         by_class = self.coefficients.split(self.sizes)
         for start, scenes in zip(starts.tolist(), by_class, strict=True):
             rows = chosen[(chosen >= start) & (chosen < start + len(scenes))] - start
-            if len(scenes) < 2 or not len(rows):
+            if len(scenes) < 2:
                 continue
             distances = torch.cdist(scenes[rows], scenes)
             # a scene is not its own neighbour
@@ -496,8 +496,7 @@ class AdaptivePosterior:
             self.log_weights.sub_(ratio.sub_(1).mul_(rate[:, None]))
             return
         variance = (response * unseen).sum(dim=1).clamp(min=0)
-        size = rate**2 / (variance * gain**2).clamp(min=1e-30)
-        size = size.clamp(max=LARGEST_SIZE)[:, None]
+        size = (rate**2 / (variance * gain**2)).clamp(max=LARGEST_SIZE)[:, None]
         share = rate[:, None] / (rate[:, None] + size)
         self.log_weights.sub_(ratio.sub_(1).mul_(share).log1p_().mul_(counts[:, None] + size))
         total = variance + rate / gain**2

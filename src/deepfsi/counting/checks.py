@@ -34,6 +34,7 @@ from deepfsi.counting.flux import (
     change_p_value,
     excess_p_value,
     light_curves,
+    rates_of,
 )
 from deepfsi.patterns.manifest import Brightness, Manifest
 
@@ -114,14 +115,11 @@ class PassLight:
     def _find_dark(self) -> Iterator[Fault]:
         """Faults of dark passes; a detector that sees a part of the device may be dark."""
         curve = self.curve
-        (on, on_s) = curve.together(curve.bright)
-        (off, off_s) = curve.together(curve.dark)
+        on, off = (rates_of(*curve.together(frames)) for frames in (curve.bright, curve.dark))
         for index in [] if curve.sees_part else np.flatnonzero(~self.lit).tolist():
-            rate = float(on[index]) / max(float(on_s[index]), 1e-300)
-            dark_rate = float(off[index]) / max(float(off_s[index]), 1e-300)
             detail = (
-                f"no light{curve.name}: {rate:.4g} counts/s with all light, {dark_rate:.4g} with "
-                "none"
+                f"no light{curve.name}: {on[index]:.4g} counts/s with all light, {off[index]:.4g} "
+                "with none"
             )
             yield Fault(kind="dark", scene=int(curve.scenes[index]), detail=detail)
 
@@ -141,8 +139,8 @@ class PassLight:
         for index in np.flatnonzero(brighter.any(axis=1)).tolist():
             # rates relative to the all-ON frames; `max` guards against none of their photons
             scale = on_s[index] / max(on[index], 1)
-            rates = photons[index] / np.where(seconds[index] > 0, seconds[index], np.inf) * scale
-            frame = int(np.argmax(np.where(brighter[index], rates, 0)))
+            rates = rates_of(photons[index], seconds[index]) * scale
+            frame = int(np.argmax(rates * brighter[index]))
             detail = (
                 f"{curve.frames[frame]}{curve.name} is {rates[frame]:.3g} times as bright as all "
                 f"light{_list_frames(brighter[index])}: stray light, or a lamp that went down for "
@@ -155,13 +153,10 @@ class PassLight:
         """Faults of passes whose two bright frames, or else two dark ones, differ."""
         curve = self.curve
         background = self.background
-        on, on_s = curve.together(curve.bright)
-        bright_rate = np.maximum(on / np.where(on_s > 0, on_s, 1.0) - background.rate, 0.0)
-        spent = np.where(background.seconds > 0, background.seconds, 1.0)
-        # Without a single dark count the background is known to one count
-        floor = (background.photons + 1) / spent
+        light = np.maximum(rates_of(*curve.together(curve.bright)) - background.rate, 0.0)
         bright = _differ(curve, curve.bright, 1 + HARMLESS, level)
-        ratio = 1 + HARMLESS_DARK * bright_rate / floor
+        # Without a single dark count the background is known to one count
+        ratio = 1 + HARMLESS_DARK * light * background.seconds / (background.photons + 1)
         differ = bright | _differ(curve, curve.dark, ratio, level)
         for index in np.flatnonzero(differ).tolist():
             frames = curve.bright if bright[index] else curve.dark
@@ -290,8 +285,7 @@ def _find_blind_detectors(detectors: Sequence[PassLight]) -> Iterator[Fault]:
     photons = np.array([float(counts.sum()) for counts, _ in bright])
     pairs = zip(detectors, bright, strict=True)
     dark = np.array([float(light.background.rate @ seconds) for light, (_, seconds) in pairs])
-    wanted = HARMLESS * max(float((photons - dark).sum()), 0.0) / max(len(detectors), 1)
-    lacks = dark + wanted - photons
+    lacks = dark + HARMLESS * (photons - dark).mean() - photons
     blind = lacks > CERTAIN_SIGMAS * np.sqrt(dark + photons + 1)
     for index in np.flatnonzero(blind).tolist():
         detail = (
@@ -309,11 +303,9 @@ def find_unequal_gains(detectors: Sequence[PassLight], trained: DetectorMap | No
         return []
     bright = [light.curve.together(light.curve.bright) for light in detectors]
     photons, seconds = np.array(bright).swapaxes(0, 1)  # (D, P): those of equal relative noise
-    # frames that were not counted have the rate 0
-    seconds = np.where(seconds > 0, seconds, np.inf)
-    rates = photons / seconds - np.array([light.background.rate for light in detectors])
+    rates = rates_of(photons, seconds) - np.array([light.background.rate for light in detectors])
     total = rates.sum()
-    noise = np.sqrt(((photons + 1) / seconds**2).sum(axis=1))
+    noise = np.sqrt(rates_of(photons + 1, seconds**2).sum(axis=1))
     if not total > noise.max():  # without light, shares are of noise
         return []
     share = rates.sum(axis=1) / total
@@ -341,14 +333,14 @@ def _nearest_mixture(
     """
     from scipy.optimize import linprog
 
-    count = classes.shape[1]
     # minimise t with |mixture − share| <= t · allowed, over weights that sum to 1
     slack = -np.concatenate([allowed, allowed])[:, None]
+    last = np.eye(classes.shape[1] + 1)[-1]
     solution = linprog(
-        np.append(np.zeros(count), 1.0),
+        last,
         A_ub=np.hstack([np.vstack([classes, -classes]), slack]),
         b_ub=np.concatenate([share, -share]),
-        A_eq=np.append(np.ones(count), 0.0)[None],
+        A_eq=[1 - last],
         b_eq=[1.0],
     )
     return float(solution.x[-1]), classes @ solution.x[:-1]
@@ -398,9 +390,10 @@ class LightMonitor:
         self._sound: list[bool] = []
         self._backgrounds: list[Background] = []
         self._reported: set[tuple[str, int | None]] = set()
-        self.flux = 0.0
-        self.dark = np.zeros(len(inputs))
-        self.on = np.zeros(0)  # counts/s of each scene's all-ON frames beyond the dark ones
+        self._inputs = len(inputs)
+        self.flux: float  # counts/s of the scene, once it is lit
+        self.dark: np.ndarray  # counts/s of each input without light, (inputs,)
+        self.on: np.ndarray  # counts/s of each scene's all-ON frames beyond the dark ones
 
     def begin(self, first: Arrivals, dark: bool = False) -> tuple[bool, tuple[Fault, ...]]:
         """Take the two frames before the looks at a scene: whether it is lit, and faults.
@@ -408,17 +401,12 @@ class LightMonitor:
         A scene that is to be dark is not lit, whatever light it has.
         """
         # the two frames that end the scene are not counted yet
-        unknown = replace(
-            first,
-            photons=0 * first.photons,
-            variance=0 * first.variance,
-            seconds=0 * first.seconds,
-        )
+        unknown = replace(first, **{name: 0 * getattr(first, name) for name in Arrivals.ARRAYS})
         self._sentinels.append(Arrivals.join([first, unknown]))
         self._look_back()
         arm = self._history[0]
         background = self._backgrounds[0]
-        of_inputs = self._backgrounds[-len(self.dark) :]
+        of_inputs = self._backgrounds[-self._inputs :]
         self.dark = np.array([one.rate[-1] for one in of_inputs])
         on, on_s = arm.together(arm.bright)
         self.on = on / on_s - background.rate
@@ -446,7 +434,7 @@ class LightMonitor:
         lights = []
         for curve, so_far in zip(curves, self._backgrounds, strict=True):
             # dark counts pooled over the scenes so far are better known than this scene's
-            dark = Background(so_far.photons[-1:], so_far.seconds[-1:], [slice(0, 1)])
+            dark = Background(so_far.photons[-1:], so_far.seconds[-1:])
             lights.append(PassLight.of(curve, dark, self._level))
         faults = _find_faults(lights, self._level)
         self._sound[-1] &= all(bool(light.sound[0]) for light in lights)

@@ -22,7 +22,6 @@ from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
-from pydantic import Field
 
 from deepfsi.base.arrays import read_npz
 from deepfsi.base.errors import InputError, as_input_error
@@ -156,7 +155,7 @@ class _Provenance(StrictModel):
 
     acquisition: str
     photons_sha256: str
-    repeats: int = Field(ge=1)
+    repeats: Count
     exposure_s: Positive
     settle_s: Amount
     drift: float

@@ -14,7 +14,7 @@ sound as tests of many.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import pairwise, product
 from typing import ClassVar, Self
 
 import numpy as np
@@ -126,8 +126,13 @@ def _as_poisson(arrivals: Arrivals, columns: slice) -> tuple[np.ndarray, np.ndar
     # fewer photons in less time have that rate with that relative error
     photons = arrivals.photons[..., columns].sum(axis=-1)
     noise = arrivals.variance[..., columns].sum(axis=-1)
-    share = np.where(noise > 0, photons / np.where(noise > 0, noise, 1), 1)
+    share = np.divide(photons, noise, out=np.ones_like(noise), where=noise > 0)
     return photons * share, arrivals.seconds * share
+
+
+def rates_of(photons: np.ndarray, seconds: np.ndarray) -> np.ndarray:
+    """Counts/s; 0 of what was not counted."""
+    return np.divide(photons, seconds, out=np.zeros(seconds.shape), where=seconds > 0)
 
 
 def name_inputs(inputs: Sequence[int]) -> str:
@@ -173,7 +178,7 @@ def change_p_value(
     above = excess_p_value(photons, seconds, base, base_s, ratio=ratio)
     below = excess_p_value(base, base_s, photons, seconds, ratio=ratio)
     # the smaller of two p-values, doubled (Bonferroni)
-    return np.minimum(1.0, 2 * np.minimum(above, below))
+    return 2 * np.minimum(above, below)
 
 
 def _find_segments(passes: np.ndarray, allowed: AllowedRatio, level: float) -> list[slice]:
@@ -222,7 +227,7 @@ def _refine(sums: np.ndarray, cut: tuple[int, int], allowed: AllowedRatio) -> tu
     """Move both ends of a segment, pass by pass, while it stands out more."""
     passes = sums.shape[1] - 1
     while True:
-        tries = [(cut[0] + i, cut[1] + j) for i in (0, -1, 1) for j in (0, -1, 1)]
+        tries = [(cut[0] + i, cut[1] + j) for i, j in product((0, -1, 1), repeat=2)]
         tries = [(a, b) for a, b in tries if 0 <= a < b <= passes and b - a < passes]
         start, stop = np.array(tries).T
         best = tries[int(np.argmax(_compare(sums, start, stop, allowed)[0]))]
@@ -238,13 +243,14 @@ def _compare(
     passes = sums.shape[1] - 1
     inner = sums[:, stop] - sums[:, start]
     outer = sums[:, -1:] - sums[:, :1] - inner
-    (one, one_s) = _as_photons(inner)
-    (other, other_s) = _as_photons(outer)
+    photons, seconds = np.stack([_as_photons(inner), _as_photons(outer)], axis=1)
     ratio = allowed(stop - start, passes - (stop - start))
     # half a photon keeps the logarithm of a dark segment finite
-    apart = np.abs(np.log((one + 0.5) / one_s) - np.log((other + 0.5) / other_s)) - np.log(ratio)
-    clearness = apart / np.sqrt(1 / (one + 0.5) + 1 / (other + 0.5))
-    return clearness, change_p_value(one, one_s, other, other_s, ratio=ratio)
+    some = photons + 0.5
+    apart = np.abs(np.subtract(*np.log(some / seconds))) - np.log(ratio)
+    clearness = apart / np.sqrt((1 / some).sum(axis=0))
+    p_values = change_p_value(photons[0], seconds[0], photons[1], seconds[1], ratio=ratio)
+    return clearness, p_values
 
 
 def _as_photons(sums: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -254,7 +260,7 @@ def _as_photons(sums: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     seconds = sums[2]
     # Counts below their noise, or less than 0, tell as little as those that are as large as it
     size = np.maximum(counts, np.sqrt(variances))
-    weight = np.where(variances > 0, size / np.where(variances > 0, variances, 1.0), 1.0)
+    weight = np.divide(size, variances, out=np.ones_like(size), where=variances > 0)
     return counts * weight, seconds * weight
 
 
@@ -264,37 +270,27 @@ class Background:
 
     photons: np.ndarray  # (P,): of all-OFF frames; for the second of two arms, of all-ON ones
     seconds: np.ndarray  # (P,)
-    segments: list[slice]  # passes that agree with each other
 
     @classmethod
     def of(cls, curve: LightCurve, level: float) -> Self:
         """Background of each pass, from the dark frames of the segment that holds it."""
         photons, seconds = curve.together(curve.dark)
-        usual = (photons.sum() + 1) / max(seconds.sum(), 1e-300)
-        ratio = 1 + HARMLESS_DARK * _usual_light(curve) / usual
+        light = rates_of(*curve.together(curve.bright)) - rates_of(photons, seconds)
+        usual = max(0.0, float(np.median(light)))
+        # a single count more keeps the ratio finite
+        ratio = 1 + HARMLESS_DARK * usual * seconds.sum() / (photons.sum() + 1)
         passes = np.stack([photons, photons, seconds]).astype(np.float64)
-        segments = _find_segments(passes, lambda *_: np.array(ratio), level)
         pooled = photons.astype(np.float64)
         pooled_s = seconds.copy()
-        for segment in segments:
+        for segment in _find_segments(passes, lambda *_: np.array(ratio), level):
             pooled[segment] = photons[segment].sum()
             pooled_s[segment] = seconds[segment].sum()
-        return cls(pooled, pooled_s, segments)
+        return cls(pooled, pooled_s)
 
     @property
     def rate(self) -> np.ndarray:
         """Counts/s, (P,)."""
-        return self.photons / np.where(self.seconds > 0, self.seconds, 1.0)
-
-
-def _usual_light(curve: LightCurve) -> float:
-    """Median over passes of the bright rate less the dark one, counts/s."""
-    (on, on_s) = curve.together(curve.bright)
-    (off, off_s) = curve.together(curve.dark)
-    counted = (on_s > 0) & (off_s > 0)
-    if not counted.any():
-        return 0.0
-    return max(0.0, float(np.median(on[counted] / on_s[counted] - off[counted] / off_s[counted])))
+        return rates_of(self.photons, self.seconds)
 
 
 @dataclass(frozen=True)
@@ -319,7 +315,6 @@ class Flux:
         cls,
         curve: LightCurve,
         background: Background,
-        *,
         used: np.ndarray,
         brightness: Brightness | None,
         level: float,
@@ -332,12 +327,10 @@ class Flux:
         if not used.any():  # light was seen behind masks alone
             return cls(np.full(len(used), np.nan))
         rate = background.rate
-        # variance of a Poisson rate n / T, as rate² / n
-        error = rate**2 / np.maximum(background.photons, 1)
-        counts = (on - rate * on_s)[used]
-        noise = on[used] + error[used] * on_s[used] ** 2
-        passes = np.stack([counts, noise, on_s[used]])
-        segments = [slice(0, len(counts))]
+        # a Poisson rate n / T has the variance n / T²
+        noise = on + rates_of(rate, background.seconds) * on_s**2
+        passes = np.stack([on - rate * on_s, noise, on_s])[:, used]
+        segments = [slice(0, passes.shape[1])]
         lit = np.flatnonzero(used)
         if brightness is not None:
             segments = _find_segments(passes, _allowed_ratio(brightness), level)

@@ -74,8 +74,9 @@ def view_faults(image_shape: tuple[int, ...], harmless: bool = False) -> Iterato
         sides |= {"bottom": (1, 0), "top": (-1, 0)}
     for cells in blurs:
         words = f"blurred by about {cells:g} cells (standard deviation)"
-        sigma = (0.0, 0.0 if flat else cells, cells)
-        yield _ViewFault(words, partial(gaussian_filter, sigma=sigma, mode="constant"))
+        axes = (2,) if flat else (1, 2)
+        blur = partial(gaussian_filter, sigma=cells, mode="constant", axes=axes)
+        yield _ViewFault(words, blur)
     for stray in strays:
         words = f"mixed with stray light of about {stray:g} of the scenes'"
         yield _ViewFault(words, lambda x: x, stray)
@@ -400,7 +401,7 @@ class ViewTest:
         self._scenes = 0
         self._refused = False
         # Sums over scenes of the arguments of `_log_densities`, seen as in training
-        self._sums: list[np.ndarray] = []
+        self._sums = [np.zeros((1, 1)), np.zeros((1, 1)), np.zeros(1)]
 
     @np.errstate(under="ignore")
     def add(self, rows: SceneReadouts) -> None:
@@ -420,17 +421,15 @@ class ViewTest:
         # each scene counts for the classes by their probabilities
         self._class_counts = class_counts + np.exp(joint - total[:, None])
         self._scenes += 1
-        sums = [precision[0] - np.eye(len(precision[0])), projections[0], squares[0]]
-        if self._sums:
-            sums = [before + added for before, added in zip(self._sums, sums, strict=True)]
-        self._sums = sums
+        sums = precision[0] - np.eye(len(precision[0])), projections[0], squares[0]
+        self._sums = [before + added for before, added in zip(self._sums, sums, strict=True)]
         self._refused |= self.result.refused
 
     @property
     def result(self) -> ViewResult:
         """Evidence of the scenes so far."""
         sound = float(self._log[: self._sound].max())
-        alike = max(self._all_alike - sound, 0.0) if self._scenes else 0.0
+        alike = max(self._all_alike - sound, 0.0)
         odds = self._log[self._sound :] - sound
         return ViewResult(
             scenes=self._scenes,
@@ -460,9 +459,9 @@ def _distances(
     The noise is that of the mean scene (N,). Either one view or one scene is given.
     """
     expected = rows.masks @ mean
-    noise = expected.clip(min=0) + rows.noise + rows.masks**2 @ rest
+    noise = expected + rows.noise + rows.masks**2 @ rest
     lit = expected > 0
-    scale = 1 / np.sqrt(np.maximum(noise[lit], 1e-12))
+    scale = 1 / np.sqrt(noise[lit])
     light = views @ rows.masks[lit].T * scale  # (V, C + axes, k)
     residuals = rows.counts[:, None, lit] * scale - light[:, :classes]
     gains = rows.inputs[lit, None] == np.unique(rows.inputs)

@@ -356,9 +356,9 @@ class _CustomNoise(Noise):
 
     def check(self, learning: bool) -> None:
         """Raise `InputError` unless it draws counts, and masks can learn under it."""
-        rates = torch.tensor([0.5, 3.0, 50.0]).repeat(64, 1).requires_grad_(learning)
+        rates = torch.arange(1.0, 64.0)[None].requires_grad_(learning)
         try:
-            counts = self.draw(rates, torch.Generator().manual_seed(0))
+            counts = self.draw(rates, torch.Generator())
             if counts.shape != rates.shape or not bool(torch.isfinite(counts).all()):
                 raise ValueError("it gives no finite counts of the shape of the rates")
         except Exception as error:
