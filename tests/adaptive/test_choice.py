@@ -190,7 +190,7 @@ def test_information_is_that_of_normal_laws_with_equal_noise(readouts, near):
     counts = rng.gamma(2.0, 30.0, (2, 4, readouts, SCENES))
     weights = rng.dirichlet(np.ones(SCENES), 2)
     labels = np.arange(SCENES) % CLASSES
-    members = weights[..., None] * np.eye(CLASSES)[labels]
+    members = weights[..., None] * np.eye(CLASSES + 1)[labels]  # one class has no scene
     roots = rng.normal(size=(2, 4, readouts, readouts))
     noise = np.eye(readouts) + near * roots @ roots.swapaxes(2, 3)
     given = [torch.from_numpy(each) for each in (counts, members, noise - np.eye(readouts))]
@@ -234,6 +234,7 @@ def test_the_mask_of_each_detector_is_that_of_its_pixels_alone(arms):
         for part in (slice(8), slice(8, None))
     ]
     assert torch.equal(whole, torch.cat(parts, dim=1))
+    assert torch.equal(whole, choice.difference_masks(differ, 1e-6 * scene, areas, arms))
 
 
 @pytest.mark.parametrize("arms", [1, 2])
@@ -258,8 +259,12 @@ def test_groups_of_the_likeliest_classes_differ_by_their_mean_scenes(arms):
             if chances[alone] > 1e-4 and chances[others].sum() > 1e-4:
                 assert (off < 2e-3).sum() == 3 - arms
     x, labels = rng.random((60, PIXELS), np.float32), np.arange(60) % 6
-    six = AdaptivePosterior(ScenePrior(x, labels, 6), 1, posterior.LookOptics(9.0, arms=arms))
+    six = AdaptivePosterior(ScenePrior(x, labels, 6), 1, posterior.LookOptics(1e9, arms=arms))
+    mask, seen = torch.ones(1, PIXELS), torch.from_numpy(x[:1])
+    six.update(mask, six.expected(mask, seen, 1.0), 1.0)
+    assert (six.class_probabilities > 0).sum() < 4, "some are excluded"
     assert six.group_differences().shape[1] == 7 * (3 - arms), "of four classes"
+    assert six.group_differences().isfinite().all()
 
 
 @pytest.mark.parametrize("optics", [{}, {"dark": 40.0}, {"arms": 2}, {"detectors": QUARTERS}])

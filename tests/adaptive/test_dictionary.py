@@ -90,7 +90,7 @@ def test_masks_are_compared_by_the_variance_of_roots_between_classes_over_that_w
     )
     state = state_of(prior, many, exposures=1, dark=60.0)
     assert [len(part) for part in state.tables.parts] == [550, 550]
-    weights = RANDOM.dirichlet(np.ones(SCENES))
+    weights = RANDOM.dirichlet(np.repeat([1, 1, 0.1], SCENES // CLASSES))
     state.log_weights.copy_(torch.from_numpy(np.log(weights))[None] - 3)
     shown, labels = many.masks.double().numpy(), prior.labels.numpy()
     gain = PHOTONS / float(prior.summed_reflectance) * SHARE
@@ -114,6 +114,8 @@ def test_masks_are_compared_by_the_variance_of_roots_between_classes_over_that_w
         assert torch.equal(best, many.masks[part[found.argmax()]])
         state.update(best[None], torch.zeros(1, 1), SHARE)
         state.log_weights.copy_(torch.from_numpy(np.log(weights))[None])
+    excluded = np.where(labels == 0, -1e4, 0).astype(np.float32)
+    assert np.isfinite(state._odds(excluded, 0)).all()
 
 
 def test_scenes_are_compared_as_often_as_they_are_likely():

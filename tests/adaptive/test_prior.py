@@ -142,8 +142,6 @@ def test_scenes_lie_about_each_other_as_nearest_neighbours_of_a_class_do(spread)
     again = prior.mean + prior.coefficients @ prior.components
     np.testing.assert_allclose(again, x[prior.order], atol=1e-4)
     stored = ScenePrior.restored(prior.arrays)
-    step = prior.coefficients.abs().amax(dim=0) / 127
-    assert ((stored.coefficients - prior.coefficients).abs() <= 0.501 * step).all()
     assert torch.equal(stored.labels, prior.labels)
     assert (stored.spread, stored.sizes) == (spread, [1, 2, 90])
 

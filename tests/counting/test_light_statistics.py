@@ -372,6 +372,9 @@ def test_a_detector_is_blind_where_it_surely_lacks_the_harmless_light(lit, dark)
         arrivals = Arrivals(manifest_of.frames, photons, photons, np.ones((2, 5)))
         faults = check_light(arrivals, manifest_of, (0, 1, 2, 3)).faults
         assert [fault.kind for fault in faults if fault.kind == "blind"] == kinds
+    arms = Arrivals(manifest_of.frames, photons[..., :2], photons[..., :2], np.ones((2, 5)))
+    kinds = {fault.kind for fault in check_light(arms, schedule([1000]), (0, 1)).faults}
+    assert kinds == {"dark"}, "of an arm with one detector"
 
 
 def test_a_scene_is_dark_below_a_tenth_of_the_light_of_the_lit_ones():

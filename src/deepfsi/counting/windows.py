@@ -175,7 +175,7 @@ class FrameStarts:
         edges_s = np.stack([opens_s, opens_s + windows.length_s]).reshape(2, -1)
         begins, ends = np.rint(edges_s / tick_s).astype(np.int64)
         # starts must rise, as counting wants: none may come after a later one
-        begins = np.minimum(np.minimum.accumulate(begins[::-1])[::-1], ends.max(initial=0))
+        begins = np.minimum(np.minimum.accumulate(begins[::-1])[::-1], ends.max())
         ends[:-1] = np.minimum(ends[:-1], begins[1:])
         photons = count_windows(source, begins, ends, inputs, progress=progress)
         shape = opens_s.shape
