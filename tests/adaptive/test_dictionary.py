@@ -128,6 +128,10 @@ def test_scenes_are_compared_as_often_as_they_are_likely():
         often.append(np.bincount(state._draw(), minlength=SCENES))
     assert (np.abs(often - 16 * weights) < 1.001).all()
     np.testing.assert_allclose(np.mean(often, axis=0), 16 * weights, atol=0.01)
+    one = MaskDictionary(torch.ones(1, 2))
+    for scenes, drawn in ((30_599, 16), (30_600, 17), (60_000, 32)):
+        x, labels = RANDOM.random((scenes, 2), np.float32), np.arange(scenes) % CLASSES
+        assert len(state_of(ScenePrior(x, labels, CLASSES), one, 1)._draw()) == drawn
 
 
 @pytest.fixture(scope="module")
@@ -152,7 +156,7 @@ def test_a_file_gives_the_same_choices(ready, digits, tmp_path):
     assert set(masks.unique().tolist()) == {0, 1}
 
 
-def test_damaged_dictionaries_are_refused(ready, tmp_path):
+def test_damaged_dictionaries_and_pages_with_one_are_refused(ready, tmp_path):
     def cut(header, arrays):
         arrays["dictionary"] = arrays["dictionary"][:, :-1].contiguous()
 
@@ -164,9 +168,6 @@ def test_damaged_dictionaries_are_refused(ready, tmp_path):
 
     for change in (cut, lost, unasked):
         assert_refused(ready, tmp_path, change)
-
-
-def test_a_page_has_no_dictionary(ready, digits):
     with pytest.raises(InputError, match="a page makes its masks"):
         page_data.check_playable(ready)
 

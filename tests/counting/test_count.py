@@ -95,7 +95,7 @@ def test_law_counts_divided_by_a_gain_have_their_variance(gain):
     assert spread == pytest.approx(found.var(), rel=5 * (2 / draws) ** 0.5)
 
 
-@pytest.mark.parametrize("silent", [24, 25])
+@pytest.mark.parametrize("silent", [24.5, 25])
 def test_law_clicks_tell_the_light_of_their_gates(silent):
     """-log of the share of gates without a click; 25 of them tell it, or photons themselves.
 

@@ -54,7 +54,6 @@ def test_draws_of_a_scene_stand_together_in_their_order():
 
 
 def test_calibration_error_is_that_of_fifteen_groups():
-    """Each of one size: of thirty answers, pairs whose errors do not cancel, and do."""
     confidence = np.repeat(np.linspace(0.1, 0.8, 15), 2)
     right = np.tile([1.0, 0.0], 15)
     wanted = np.abs(np.linspace(0.1, 0.8, 15) - 0.5).mean()

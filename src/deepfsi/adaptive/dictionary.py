@@ -94,8 +94,9 @@ class _MaskTables:
                 size = (expected**2 / variance).clamp(max=LARGEST_SIZE)
                 roots = 2 * (counts + 3 / 8).sqrt()
                 roots -= (roots @ weights)[:, None]
-                scale[:, rows - part[0]] = roots.T.numpy()
-                noise[rows - part[0]] = (1 + variance / expected).numpy()
+                places = rows.numpy() - part[0]  # a tensor of one number is no array to NumPy
+                scale[:, places] = roots.T.numpy()
+                noise[places] = (1 + variance / expected).numpy()
                 ratio = counts.div_(expected[:, None])
                 # the law of `AdaptivePosterior._take`, with `logs` for its log1p
                 logs = ((ratio - 1) * (expected / (expected + size))[:, None]).log1p_()

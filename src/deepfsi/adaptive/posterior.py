@@ -383,8 +383,7 @@ class AdaptivePosterior:
         if unknown is not None:
             # a small change of a count n is 1 / √n times as large on the scale 2 √n
             mean_counts = (counts * drawn[:, None, None]).sum(dim=-1, keepdim=True)
-            steps = mean_counts.clamp(min=1e-6).rsqrt()
-            scale = steps * gain
+            scale = mean_counts.clamp(min=1e-6).rsqrt() * gain
             unknown = unknown * scale * scale.transpose(2, 3)
         members = functional.one_hot(self.prior.labels[indices], self.prior.classes)
         best = information(counts, members * drawn[..., None], unknown).argmax(dim=1)
