@@ -40,9 +40,9 @@ BRIEFLY = {
 }
 """Options that make a command take a moment."""
 
-SMALLER = {"96": "8", "16,32": "8", "1e3,1e4": "1e4", "4,8,16": "8"}
-"""Values of options in place of those of a page, where exposures share light or a comparison takes
-values: fewer looks and masks."""
+SMALLER = {"96": "8", "16,32": "8", "32": "8", "1e3,1e4": "1e4", "4,8,16": "8"}
+"""Values of options in place of those of a page, where masks adapt or a comparison takes values:
+fewer looks and masks."""
 
 RATIOS = {"0.01,0.04,0.09": "0.04,0.09"}
 """Fewer numbers of masks of a comparison."""
@@ -150,7 +150,7 @@ def run(tmp_path, monkeypatch, done, digits, trained_once):
             brief = "" if whole or "adaptive" in words else BRIEFLY.get(words[0], "")
             if "--cap" in words:  # of designs that may end early
                 brief = brief.removesuffix("--designs pca,deepfsi")
-            if "--cap" in words or "placed.npz" in words:
+            if {"--cap", "adaptive", "placed.npz"} & set(words):
                 words = [SMALLER.get(word, word) for word in words]
             small = [RATIOS.get(word, word.replace("10000", "300")) for word in words]
             printed[" ".join(words[:2])] = done(*small, *brief.split())

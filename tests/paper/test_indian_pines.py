@@ -8,6 +8,7 @@ import pytest
 
 from deepfsi.datasets import catalog
 from deepfsi.datasets.catalog import load_indian_pines
+from deepfsi.training import learning
 from deepfsi_paper import experiment, studies
 from deepfsi_paper.indian_pines import claims as indian_pines
 from deepfsi_paper.indian_pines import measures
@@ -48,6 +49,7 @@ def study(tmp_path_factory, all_drawn_once):
     with pytest.MonkeyPatch.context() as patch:
         make_home(root, patch)
         patch.setattr(experiment.Experiment, "recipes", recipes)
+        patch.setattr(learning, "characterise", lambda *_: None)
         results = indian_pines.EXPERIMENT.run(root / "out", command="deepfsi reproduce", trials=1)
         patch.setattr(experiment.Experiment, "recipes", whole)
         yield root / "out", results, indian_pines.EXPERIMENT.section(root / "out")

@@ -4,14 +4,17 @@ DEEPFSI_KILLS=50 pytest tests/sweeps/test_kills.py kills them more often.
 """
 
 import json
+import multiprocessing
 import os
 import random
 import re
 import shutil
 import signal
-import subprocess
 import sys
+import threading
 import time
+from functools import partial
+from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +22,9 @@ import psutil
 import pytest
 from safetensors.numpy import load_file
 
+from deepfsi.cli import run_command_line
 from deepfsi.datasets.display import write_pictures
+from deepfsi.training import checkpoint
 from shared.live_samples import make_patterns
 from shared.trials import left_over, tensors
 from shared.waiting import PATIENCE
@@ -34,6 +39,8 @@ draws = 1
 training = {{ epochs = 2, batch = {batch} }}
 """
 MASKS = (1, 2, 3, 4)
+FORKS = multiprocessing.get_context("forkserver")
+FORKS.set_forkserver_preload(["torch._dynamo", "sklearn.datasets", "scipy.stats"])  # take seconds
 
 
 def written(folder: Path) -> dict[Path, tuple[int, int]]:
@@ -51,39 +58,73 @@ def records(folder: Path) -> dict[str, Any]:
 
 
 def sweep(
-    tmp_path: Path, trials: int, workers: int, masks: tuple[int, ...] = MASKS, batch: int = 32
+    tmp_path: Path, trials: int, workers: int, masks: tuple[int, ...] = MASKS, batch: int = 64
 ) -> list[str]:
     recipe = tmp_path / "recipe.toml"
     recipe.write_text(RECIPE.format(trials=trials, masks=list(masks), batch=batch))
     return ["sweep", str(recipe), "--json", "-o", str(tmp_path / "out"), "--workers", str(workers)]
 
 
-def start(tmp_path: Path, trials: int, workers: int) -> subprocess.Popen:
-    return subprocess.Popen(
-        [sys.executable, "-m", "deepfsi", *sweep(tmp_path, trials, workers)],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        start_new_session=True,
-    )
+MOVES = ("os.rename",)
+FILES = ("open", "os.mkdir", *MOVES, "os.rmdir", "os.remove")
+
+
+def run(words: list[str], folder: Path, nth=0, delay=0.0, events=FILES) -> None:
+    """Run a command line in a folder; kill it some time after the n-th event of a file there.
+
+    What it says goes to the file `said`, and so does how many there were.
+    """
+    os.chdir(folder)
+    for stream in (1, 2):
+        os.dup2(os.open("said", os.O_WRONLY | os.O_CREAT), stream)
+    home, left, kill = os.getcwd(), nth, partial(os.kill, os.getpid(), signal.SIGKILL)
+
+    def count(event: str, values: tuple) -> None:
+        nonlocal left
+        if event in events and os.path.abspath(str(values[0])).startswith(home):
+            left -= 1
+            if left == 0:
+                threading.Timer(delay, kill).start() if delay else kill()
+
+    sys.addaudithook(count)
+    checkpoint.CHECKPOINT_SECONDS = 0.0
+    sys.argv = ["deepfsi", *words]
+    try:
+        run_command_line()
+    finally:
+        print("files", -left, flush=True)
+
+
+def start(words: list[str], folder: Path, *rest: float) -> BaseProcess:
+    process = FORKS.Process(target=run, args=(words, folder, *rest))
+    process.start()
+    return process
+
+
+def ended(words: list[str], folder: Path, *rest: float) -> int:
+    process = start(words, folder, *rest)
+    process.join()
+    return process.exitcode
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("undrawn")
 def test_random_kills_lose_no_record_and_repeat_none(done, tmp_path):
     """One process, or one with two workers, which die with it; a record is never written twice."""
     trials = max(2, KILLS)
     chance = random.Random(1)
     kept: dict[Path, tuple[int, int]] = {}
     for kill in range(KILLS):
-        process = start(tmp_path, trials, workers=1 + kill % 2)
+        process = start(sweep(tmp_path, trials, workers=1 + kill % 2), tmp_path)
         while kill % 5 and written(tmp_path / "out") == kept:  # else it may be killed at its start
-            assert process.poll() is None, "the sweep ended before it was killed"
+            assert process.is_alive(), "the sweep ended before it was killed"
             time.sleep(0.005)
         time.sleep(chance.uniform(0, 0.5))
-        assert process.poll() is None, "the sweep ended before it was killed: give it more trials"
+        assert process.is_alive(), "the sweep ended before it was killed: give it more trials"
         workers = psutil.Process(process.pid).children(recursive=True)
         assert workers or not (kill % 2 and kill % 5)
         process.kill()
-        process.communicate()
+        process.join()
         assert not psutil.wait_procs(workers, timeout=PATIENCE)[1]
         now = written(tmp_path / "out")
         assert {path: now.get(path) for path in kept} == kept
@@ -100,24 +141,17 @@ def test_random_kills_lose_no_record_and_repeat_none(done, tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("undrawn")
 def test_a_kill_while_files_are_written_leaves_nothing_and_changes_no_bit(done, tmp_path):
-    """Before the seventh file is moved into its place; the first ones are in theirs.
+    """Before the record is moved into its place; the design is in its own.
 
     Trials that were trained together are kept together: alone one of them rounds otherwise.
     """
     settings = {"trials": 1, "workers": 1, "masks": (1, 2), "batch": 500}
     recipe = sweep(tmp_path, **settings)
-    kill = (
-        "import os, sys; from deepfsi.cli import run_command_line\n"
-        f"real, calls = os.replace, []; sys.argv = ['deepfsi', *{recipe!r}]\n"
-        "def replace(*paths):\n"
-        "    calls.append(paths); os.kill(os.getpid(), 9) if len(calls) == 7 else None\n"
-        "    real(*paths)\n"
-        "os.replace = replace; run_command_line()"
-    )
-    killed = subprocess.run([sys.executable, "-c", kill], capture_output=True)
-    assert killed.returncode == -signal.SIGKILL
-    assert left_over(tmp_path / "out")
+    assert ended(recipe, tmp_path, 12, 0.0, MOVES) == -signal.SIGKILL
+    assert tensors(tmp_path / "out")
+    assert not written(tmp_path / "out")
     done(*recipe)
     assert not left_over(tmp_path / "out")
     assert len(written(tmp_path / "out")) == 2 * 2 * 2
@@ -135,27 +169,6 @@ COMMANDS = {
     "live": "camera live patterns --scene scenes --flux 1e7 --exposure 10ms -o out",
 }
 
-KILLED = """
-import os, sys, threading
-from deepfsi.cli import run_command_line
-from deepfsi.training import checkpoint
-left, delay, home = int(sys.argv.pop(1)), float(sys.argv.pop(1)), os.getcwd()
-def count(event, values):
-    global left
-    here = event in ("open", "os.mkdir", "os.rename", "os.rmdir", "os.remove")
-    if here and os.path.abspath(str(values[0])).startswith(home):
-        left -= 1
-        if left == 0:
-            threading.Timer(delay, os.kill, (os.getpid(), 9)).start()
-sys.addaudithook(count)
-checkpoint.CHECKPOINT_SECONDS = 0.0
-try:
-    run_command_line()
-finally:
-    print("files", -left)
-"""
-"""A command line that is killed some time after it opens, moves or removes its n-th file."""
-
 
 @pytest.fixture(scope="module")
 def lab(tmp_path_factory, digits):
@@ -166,7 +179,7 @@ def lab(tmp_path_factory, digits):
     light = ["--scene", "scenes", "--flux", "1e6", "--exposure", "10ms", "-o", "run"]
     for words in (["dmd", "export", "hadamard", "--size", "8x8", "--dmd", "64x48", "-o", "scan"],
                   ["camera", "simulate", "scan", *light]):  # fmt: skip
-        subprocess.run([sys.executable, "-m", "deepfsi", *words], cwd=lab, check=True)
+        assert not ended(words, lab)
     return lab
 
 
@@ -184,31 +197,28 @@ def results(lab: Path, log: str = "") -> dict[str, Any]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("command", COMMANDS)
-def test_what_random_kills_leave_is_whole_and_the_command_goes_on(command, lab, tmp_path):
+def test_what_random_kills_leave_is_whole_and_the_command_goes_on(command, lab, tmp_path, done):
     """A live run goes on in another folder, and its finished scenes are classified."""
     chance = random.Random(1)
     log = "out/shown.jsonl" if command == "live" else ""
 
-    def run(place: Path, files: int, delay: float = 0.0) -> subprocess.CompletedProcess:
-        words = [sys.executable, "-c", KILLED, str(files), str(delay), *COMMANDS[command].split()]
-        return subprocess.run(words, cwd=place, capture_output=True, text=True)
-
+    words = COMMANDS[command].split()
     shutil.copytree(lab, tmp_path / "whole")
-    files = int(re.findall(r"files (\d+)", run(tmp_path / "whole", 0).stdout)[0])
+    assert not ended(words, tmp_path / "whole")
+    files = int(re.findall(r"files (\d+)", (tmp_path / "whole/said").read_text())[0])
     whole = results(tmp_path / "whole", log)
     assert whole
     killed = shutil.copytree(lab, tmp_path / "killed")
     for _ in range(KILLS):
-        ended = run(killed, chance.randint(1, files), chance.choice((0, chance.uniform(0, 0.1))))
-        assert ended.returncode in (0, -signal.SIGKILL), ended.stderr
+        moment = chance.randint(1, files), chance.choice((0, chance.uniform(0, 0.1)))
+        assert ended(words, killed, *moment) in (0, -signal.SIGKILL)
         kept = results(killed, log)
         assert kept == ({key: whole[key] for key in kept} if log else kept and whole)
         if log and kept:
-            words = [sys.executable, "-m", "deepfsi", "camera", "classify", "patterns", "out"]
-            told = subprocess.run([*words, "--json"], cwd=killed, capture_output=True, check=True)
-            assert len(json.loads(told.stdout)["scenes"]) == len(kept)
+            told = done("camera", "classify", killed / "patterns", killed / "out", "--json")
+            assert len(json.loads(told)["scenes"]) == len(kept)
         if kept or log:  # else it goes on with what was left
             shutil.rmtree(killed / "out", ignore_errors=True)
             (killed / "out.safetensors").unlink(missing_ok=True)
-    assert not run(killed, 0).returncode
+    assert not ended(words, killed)
     assert results(killed, log) == whole
