@@ -73,7 +73,7 @@ def test_counts_are_those_of_the_masks_that_were_made(digits, tmp_path, optics, 
 
 def test_decisions_are_those_of_the_design(digits, patterns, tmp_path):
     """Accuracy of the virtual camera, and of the design's own exposures of the same scenes."""
-    decided = run(tmp_path / "run", patterns, digits, count=100)
+    decided = run(tmp_path / "run", patterns, digits, count=50)
     design = load_design(patterns.parent / "adaptive.safetensors")
     check_accuracy(decided, design, digits, FLUX * EXPOSURE_S)
 
@@ -86,6 +86,7 @@ def test_another_design_beside_the_first_mask_is_refused(patterns, tmp_path):
         LiveRun(Patterns.read(folder), (), EXPOSURE_S)
 
 
+@pytest.mark.usefixtures("trained_once")
 @pytest.mark.parametrize("growth", [8.0, 1 / 8])
 def test_the_shortest_look_must_not_be_shorter_than_the_device_allows(digits, tmp_path, growth):
     """Of looks of different lengths, wherever it comes."""

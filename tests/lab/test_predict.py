@@ -103,8 +103,8 @@ def test_pictures_unlike_the_training_are_marked(digits, kind):
     words = {"masks": 12, "epochs": 20} if kind == "deepfsi" else {"design": kind, "masks": 12}
     design = learn(digits, photons=1e4, camera="dmd", **words)
     low, high = float(digits.x_train.min()), float(digits.x_train.max())
-    others = [low + high - digits.x_test, 0 * digits.x_test, 0 * digits.x_test + 1]
-    for x in others:
+    few = digits.x_test[:60]
+    for x in (low + high - few, 0 * few, 0 * few + 1):
         found = deepfsi.predict(design, x, 1e4, seed=1)
         assert np.mean([scene.unlike for scene in found.scenes]) > 0.9
         assert found.as_dict()["pictures"][0]["unlike"]

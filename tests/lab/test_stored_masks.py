@@ -85,12 +85,12 @@ def test_each_look_shows_the_frame_of_the_mask_that_is_chosen(
 def test_decisions_are_those_of_the_design(digits, design, patterns, tmp_path, monkeypatch):
     """Accuracy within the noise of both; the photon file holds what was counted."""
     counted = Counted(monkeypatch)
-    decided = live(tmp_path / "run", patterns, digits, 100)
+    decided = live(tmp_path / "run", patterns, digits, 50)
     counted.check_file(tmp_path / "run")
     counts = check_accuracy(decided, design, digits, FLUX * EXPOSURE_S)
     looks = [each.sum() for each in counted.lists if len(each) == 1]
     # scenes are the same, masks follow from other counts
-    assert sum(looks) / 100 == pytest.approx(counts, rel=0.05)
+    assert sum(looks) / 50 == pytest.approx(counts, rel=0.05)
 
 
 def test_a_device_that_cannot_hold_the_masks_is_refused(patterns, tmp_path):

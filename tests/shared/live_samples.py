@@ -99,5 +99,5 @@ def check_accuracy(decided: list[Decision], design, digits, photons: float) -> f
     assert abs(right - wanted.accuracy) < 5 * spread
     faults = [fault.kind for each in last for fault in each.faults]
     assert set(faults) <= {"unlike"}
-    assert len(faults) <= 5  # 0.01 of 100 at most, at a chance of 1 in 1000
+    assert len(faults) <= 4  # 0.01 of 50 at most, at a chance of 1 in 1000
     return wanted.counts
