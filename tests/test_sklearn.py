@@ -22,7 +22,7 @@ def classifier(**settings):
 
 @pytest.mark.slow
 def test_scikit_learns_checks():
-    given = classifier(masks=2, epochs=20)
+    given = classifier(masks=2, epochs=10)
     results = check_estimator(given, on_fail=None, on_skip=None)
     assert len(results) > 50
     assert [each for each in results if each["status"] == "failed"] == []

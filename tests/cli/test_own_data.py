@@ -232,7 +232,7 @@ def test_few_and_unequal_pictures_are_told(done, tmp_path):
     for label, count in (("ash", 80), ("oak", 40)):
         save_images(tmp_path / "noise" / label, rng.integers(0, 256, (count, 8, 8), np.uint8))
     words = ("design", "--data", tmp_path / "noise", "--masks", 32, "--photons", "1e6")
-    said = done(*words, "--epochs", 60, "-o", tmp_path / "noise.safetensors")
+    said = done(*words, "--epochs", 30, "-o", tmp_path / "noise.safetensors")
     assert "note: classes have 32 to 64 training scenes" in said
     assert "`training.balance` of a recipe, weighs all alike" in said
     assert "in ten times the light: give more pictures, not more light" in said

@@ -7,6 +7,7 @@ import zipfile
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 
@@ -98,8 +99,10 @@ def test_designs_of_two_seeds_side_by_side_are_resumed(
     check_law(make, writes, path)
 
 
-def test_trainings_that_leave_folds_out_are_resumed(digits, writes, path):
+def test_trainings_that_leave_folds_out_are_resumed(digits, writes, path, monkeypatch):
     """Eleven trainings: the sixth and the last are stopped, too."""
+    budgets = "deepfsi.training.characterisation.calibration_budgets"
+    monkeypatch.setattr(budgets, lambda photons, _: photons * np.array([1, 10]))
     few = replace(digits, x_train=digits.x_train[:40], y_train=digits.y_train[:40])
     given = settings({"epochs": 1})
     check_law(lambda path: [learn(few, checkpoint=path, **given)], writes, path)
