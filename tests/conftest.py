@@ -18,11 +18,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from deepfsi import Design
+from deepfsi import Dataset, Design, from_arrays, load_dataset
 from deepfsi.camera.names import LIGHT_LAWS
-from deepfsi.datasets.arrays import from_arrays
-from deepfsi.datasets.dataset import Dataset
-from deepfsi.datasets.load import load_dataset
 from deepfsi.jobs.designs import DESIGNS, count_allowed
 from deepfsi.physics.detection import Rails
 from deepfsi.physics.laws import light_law

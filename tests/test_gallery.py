@@ -65,7 +65,7 @@ def test_moving_picture_stands_alone():
     text = file.read_text()
     assert file.stat().st_size < 600_000
     assert {element.tag.split("}")[1] for element in ET.fromstring(text).iter()} <= {
-        *("svg", "style", "g", "rect", "path", "line", "text"),
+        *("svg", "style", "g", "rect", "path", "line", "text")
     }
     assert re.findall(r"https?://[^\"]+|url\(", text) == ["http://www.w3.org/2000/svg"]
     assert "prefers-reduced-motion" in text

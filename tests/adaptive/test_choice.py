@@ -6,14 +6,10 @@ import torch
 from scipy.special import logsumexp
 from scipy.stats import multivariate_normal, nbinom, poisson
 
-from deepfsi import Design, Result, evaluate, learn
+from deepfsi import Camera, Dataset, Design, InputError, Result, evaluate, from_arrays, learn
 from deepfsi.adaptive import choice, posterior
 from deepfsi.adaptive.exposure import AdaptiveExposure, prior_of
 from deepfsi.adaptive.posterior import AdaptivePosterior, ScenePrior
-from deepfsi.base.errors import InputError
-from deepfsi.camera.camera import Camera
-from deepfsi.datasets.arrays import from_arrays
-from deepfsi.datasets.dataset import Dataset
 from deepfsi.jobs.exposures import AdaptiveMasks
 
 PIXELS, SCENES, CLASSES = 8, 40, 3

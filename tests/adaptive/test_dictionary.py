@@ -8,12 +8,11 @@ from scipy.stats import poisson
 
 import deepfsi
 from conftest import generator
-from deepfsi import Design
+from deepfsi import Design, InputError
 from deepfsi.adaptive import dictionary as tables
 from deepfsi.adaptive import posterior
 from deepfsi.adaptive.dictionary import MaskDictionary
 from deepfsi.adaptive.posterior import AdaptivePosterior, ScenePrior
-from deepfsi.base.errors import InputError
 from deepfsi.evaluation import page_data
 from deepfsi.physics.noise import Poisson
 from shared.design_files import assert_refused, looks_at

@@ -5,13 +5,7 @@ import os
 import pytest
 
 from deepfsi.base.errors import InputError
-from deepfsi.base.files import (
-    GrowingFile,
-    new_folder,
-    read_text,
-    read_toml,
-    write_atomically,
-)
+from deepfsi.base.files import GrowingFile, new_folder, read_text, read_toml, write_atomically
 from shared.disks import nearly_full
 
 

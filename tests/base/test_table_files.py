@@ -129,11 +129,7 @@ def one_line(source, said):
     assert "\n" not in str(error.value)
 
 
-CELLS = {
-    "m": sparse.csc_matrix(VALUES),
-    "c": np.array(["a", 1], object),
-    "s": {"x": 1.0},
-}
+CELLS = {"m": sparse.csc_matrix(VALUES), "c": np.array(["a", 1], object), "s": {"x": 1.0}}
 
 
 @pytest.mark.parametrize(
@@ -141,11 +137,7 @@ CELLS = {
     [
         ("cube.npy", np.zeros((2, 2, 2)), r"shape \(2, 2, 2\)"),
         ("nan.npy", [[0, np.nan]], "row 1 of column column_2 holds nan"),
-        (
-            "two.mat",
-            {"a": VALUES, "b": VALUES},
-            r"no variable 'counts' .* a, b: name one as",
-        ),
+        ("two.mat", {"a": VALUES, "b": VALUES}, r"no variable 'counts' .* a, b: name one as"),
         ("two.mat:c", {"a": VALUES, "b": VALUES}, r"no variable 'c'"),
         ("s.mat", CELLS, "but none"),
         ("z.mat", {"counts": VALUES * 1j}, "but none"),

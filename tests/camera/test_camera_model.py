@@ -61,9 +61,7 @@ def test_what_is_no_camera_is_one_line_that_names_the_field(given, match):
 
 
 @pytest.mark.parametrize(
-    "bad",
-    [0, -1, math.nan, math.inf, "abc", None, [1e3], 10**400],
-    ids=lambda bad: repr(bad)[:12],
+    "bad", [0, -1, math.nan, math.inf, "abc", None, [1e3], 10**400], ids=lambda bad: repr(bad)[:12]
 )
 def test_a_budget_is_finite_and_above_zero(bad):
     with pytest.raises(InputError, match="photon budget"):

@@ -10,10 +10,7 @@ from deepfsi.camera.dead_time import DeadTime
 from deepfsi.counting.recording import Recording
 from deepfsi.counting.tables import TableSettings, count_table
 from deepfsi.lab.virtual_detector import Detector
-from deepfsi.lab.virtual_optics import (
-    VirtualCamera,
-    arrival_rates,
-)
+from deepfsi.lab.virtual_optics import VirtualCamera, arrival_rates
 from deepfsi_paper.camera import gate_counts
 from shared.virtual_runs import record
 
@@ -91,10 +88,7 @@ def off_by(counts, shown, rates) -> np.ndarray:
 
 def test_a_recording_is_corrected_gate_by_gate_with_its_budget(run):
     folder, shown, rates, dead = run
-    bare, counts = (
-        Recording.read(folder).count(),
-        Recording.read(folder).count(dead_time=dead),
-    )
+    bare, counts = (Recording.read(folder).count(), Recording.read(folder).count(dead_time=dead))
     assert counts.faults == ()
     assert np.array_equal(bare.counts, counts.counts)
     assert np.array_equal(bare.arrivals, bare.counts)

@@ -8,8 +8,7 @@ import pytest
 import torch
 
 import deepfsi
-from deepfsi.base.errors import InputError
-from deepfsi.design.design import Design
+from deepfsi import Design, InputError
 from deepfsi.jobs.exposures import AdaptiveMasks
 from deepfsi_clicks import clicking
 

@@ -11,13 +11,7 @@ from deepfsi.counting.tables import TableSettings, count_table
 from deepfsi.lab.virtual_optics import VirtualCamera, arrival_rates
 from deepfsi.patterns.folder import Patterns
 from deepfsi.physics.detection import Detection
-from lab.virtual_samples import (
-    SUMMED_REFLECTANCE,
-    every_optics,
-    expected,
-    patterns,
-    scenes,
-)
+from lab.virtual_samples import SUMMED_REFLECTANCE, every_optics, expected, patterns, scenes
 
 CELLS = (0, 0, 1, 2, 0, 0, 1, 2, 0, 0, 0, 2)
 SCENES = scenes()

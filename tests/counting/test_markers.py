@@ -5,15 +5,7 @@ import pytest
 import recording_samples
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from recording_samples import (
-    DWELL,
-    FUZZ,
-    JITTER,
-    many,
-    schedule,
-    train,
-    troubles,
-)
+from recording_samples import DWELL, FUZZ, JITTER, many, schedule, train, troubles
 
 from deepfsi.base.errors import InputError
 from deepfsi.counting.recording import Recording

@@ -5,27 +5,11 @@ import tracemalloc
 import numpy as np
 import ptufile
 import pytest
-from ptu_samples import (
-    END,
-    T2,
-    decode,
-    every_source,
-    photon,
-    recorded,
-    save,
-    special,
-    tags_of,
-)
+from ptu_samples import END, T2, decode, every_source, photon, recorded, save, special, tags_of
 
 from deepfsi.base.errors import InputError
 from deepfsi.counting import ptu
-from deepfsi.counting.reader import (
-    PtuStream,
-    WindowCounter,
-    count_windows,
-    read_markers,
-    summarise,
-)
+from deepfsi.counting.reader import PtuStream, WindowCounter, count_windows, read_markers, summarise
 
 every_kind = pytest.mark.parametrize("kind", ptu.RECORD_TYPES.values(), ids=lambda kind: kind.name)
 

@@ -5,8 +5,7 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 
-from deepfsi.base.errors import InputError
-from deepfsi.datasets.load import load_dataset
+from deepfsi import InputError, load_dataset
 from deepfsi.datasets.spectra import SpectralImage
 
 

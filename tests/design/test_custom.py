@@ -10,8 +10,7 @@ from torch import nn
 
 import deepfsi
 from conftest import PHOTONS, RECIPE, generator, light_on, same
-from deepfsi import Design, design_of
-from deepfsi.base.errors import InputError
+from deepfsi import Design, InputError, design_of
 from deepfsi.camera.detectors import DetectorMap
 from deepfsi.design import networks as own
 from deepfsi.design.onnx import to_onnx

@@ -12,8 +12,7 @@ import pytest
 import torch
 
 from conftest import PHOTONS, every_optics, light_on
-from deepfsi import Design, evaluate, load_design, predict
-from deepfsi.base.errors import InputError
+from deepfsi import Design, InputError, evaluate, load_design, predict
 from shared.design_files import refused, rewrite
 from shared.jobs import learn
 

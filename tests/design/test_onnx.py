@@ -10,8 +10,7 @@ import pytest
 import torch
 
 from conftest import PHOTONS, generator
-from deepfsi import Design
-from deepfsi.camera.light import photons_per_pixel
+from deepfsi import Design, photons_per_pixel
 from deepfsi.design.onnx import to_onnx
 
 onnxruntime = pytest.importorskip("onnxruntime")

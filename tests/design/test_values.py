@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from deepfsi import evaluate, ideal_observer, learn, predict
-from deepfsi.base.errors import InputError
+from deepfsi import InputError, evaluate, ideal_observer, learn, predict
 from deepfsi.design.onnx import to_onnx
 from deepfsi.evaluation.page_data import check_playable
 from shared.values import SLOPES, SPREAD, linear_scenes, placed_digits

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 from scipy.stats import binom, norm
 
-from deepfsi import InputError
-from deepfsi.datasets.arrays import from_arrays
+from deepfsi import InputError, from_arrays
 from deepfsi.designfile.misfit import FALSE_ALARM, MISFIT_BUDGETS, SceneLight, UsualMisfit
 from deepfsi.designfile.view_test import SceneModel
 from shared.jobs import learn

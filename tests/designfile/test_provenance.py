@@ -12,12 +12,7 @@ import deepfsi
 from deepfsi import load_dataset, load_design
 from deepfsi.datasets.display import read_display
 from deepfsi.designfile.design_file import DesignFile
-from deepfsi.designfile.provenance import (
-    SCENE_ARRAYS,
-    TrainingScenes,
-    scene_hashes,
-    was_trained_on,
-)
+from deepfsi.designfile.provenance import SCENE_ARRAYS, TrainingScenes, scene_hashes, was_trained_on
 from shared.jobs import learn
 from shared.pictures import save_images
 

@@ -7,8 +7,7 @@ from pathlib import Path
 import pytest
 
 from conftest import real_mnist
-from deepfsi import evaluate, load_dataset, load_design
-from deepfsi.base.errors import InputError
+from deepfsi import InputError, evaluate, load_dataset, load_design
 from deepfsi.designfile.design_file import SHIPPED_DESIGNS, find_design
 
 NAMES = {"dmd-mnist", "adaptive-mnist"}

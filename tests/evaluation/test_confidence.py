@@ -7,7 +7,7 @@ import pytest
 from scipy.special import softmax
 
 from conftest import quick
-from deepfsi import Camera
+from deepfsi import Camera, Job
 from deepfsi.designfile.design_file import Temperatures
 from deepfsi.evaluation.confidence import (
     CalibrationScenes,
@@ -16,16 +16,12 @@ from deepfsi.evaluation.confidence import (
     measure_left_out,
 )
 from deepfsi.exposure.kind import temperatures_at
-from deepfsi.jobs.job import Job
 from deepfsi.training.characterisation import find_temperatures
 
 PHOTONS = 1e4
 HELD_OUT = 437
 TRAINED = {"masks": 8, "photons": PHOTONS, "epochs": 20, "hidden": (32,), "mask_lr": 0.05}
-KINDS = {
-    "fixed": TRAINED,
-    "range": {**TRAINED, "photons": 1e3, "span": 1e2},
-}
+KINDS = {"fixed": TRAINED, "range": {**TRAINED, "photons": 1e3, "span": 1e2}}
 
 
 @pytest.fixture(scope="module", params=KINDS)

@@ -8,9 +8,7 @@ import pytest
 import torch
 
 from conftest import PHOTONS, every_optics, generator, light_on, quick
-from deepfsi import evaluate
-from deepfsi.base.errors import InputError
-from deepfsi.datasets.arrays import from_arrays
+from deepfsi import InputError, evaluate, from_arrays
 from deepfsi.evaluation.results import results_lines
 
 

@@ -10,8 +10,7 @@ from scipy.special import logsumexp
 from scipy.stats import poisson
 
 from conftest import every_optics, generator
-from deepfsi import evaluate, ideal_observer
-from deepfsi.base.errors import InputError
+from deepfsi import InputError, evaluate, ideal_observer
 from deepfsi.evaluation.ideal import IdealObserver
 
 

@@ -6,8 +6,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from deepfsi import Design
-from deepfsi.base.errors import InputError
+from deepfsi import Design, InputError
 from deepfsi.evaluation.page_data import check_playable
 from golden.file_cases import FOLDER
 

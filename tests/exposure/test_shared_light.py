@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 import deepfsi
+from deepfsi import InputError, evaluate
 from deepfsi.adaptive.exposure import AdaptiveExposure, sharing_threshold
-from deepfsi.base.errors import InputError
-from deepfsi.evaluation.accuracy import evaluate
 
 PHOTONS, DRAWS, SHARING_SCENES = 1e3, 2, 256
 

@@ -13,9 +13,8 @@ import numpy as np
 import polars
 from scipy.io import savemat
 
-from deepfsi import Design, from_arrays, load_dataset, load_design
+from deepfsi import Camera, Design, from_arrays, load_dataset, load_design
 from deepfsi.base.tables import read_table
-from deepfsi.camera.camera import Camera
 from deepfsi.camera.device import find_device
 from deepfsi.cli.studies import read_recipe
 from deepfsi.counting import reader as photons

@@ -19,8 +19,7 @@ from PIL import Image, PngImagePlugin
 from scipy.io import savemat
 from scipy.linalg import hadamard
 
-from deepfsi import load_dataset
-from deepfsi.base.errors import InputError
+from deepfsi import InputError, load_dataset
 from deepfsi.base.files import read_toml
 from deepfsi.base.quantities import Table
 from deepfsi.base.tables import read_table

@@ -7,16 +7,7 @@ import numpy as np
 
 import deepfsi
 from golden.facts import Cases, refused_or
-from golden.scenes import (
-    ADAPTIVE,
-    BUDGET,
-    PATCHES,
-    STEPS,
-    digits,
-    facts_of,
-    spots,
-    tested,
-)
+from golden.scenes import ADAPTIVE, BUDGET, PATCHES, STEPS, digits, facts_of, spots, tested
 
 CASES = Cases()
 EXPOSURES: dict[str, dict[str, Any]] = {

@@ -306,9 +306,7 @@ def calibrated() -> dict[str, Any]:
         "view = [[0.9, 0.04, 0.03], [-0.03, 0.92, 0.05], [0.01, 0.02, 1.0]]\ndark = 1e3\n"
     )
     device = ("--dmd", "64x64", "--dwell", "2ms")
-    out = {
-        "export": answer("dmd", "export", "hadamard", "--size", "8x8", *device, "-o", "p"),
-    }
+    out = {"export": answer("dmd", "export", "hadamard", "--size", "8x8", *device, "-o", "p")}
     say("camera", "spots", "--size", "32x32", "-o", "p/spots")  # as the reference makes them
     out["pictures"] = files("p/spots")
     words = ("--scene", "p/spots", "--flux", "1e6", "--exposure", "0.2s", "--repeats", 1)

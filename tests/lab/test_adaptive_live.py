@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from conftest import exposing
-from deepfsi import learn, load_design
-from deepfsi.base.errors import InputError
+from deepfsi import InputError, learn, load_design
 from deepfsi.lab.design_data import design_rails
 from deepfsi.lab.live import LiveRun
 from deepfsi.lab.results import read_log

@@ -7,8 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deepfsi import classify_run
-from deepfsi.base.errors import InputError
+from deepfsi import InputError, classify_run
 from deepfsi.lab import results as frame_log
 from deepfsi.lab.devices import virtual_setup
 from shared.live_samples import DEVICE, EXPOSURE_S, LOOKS, live, make_patterns, planned, scenes_of

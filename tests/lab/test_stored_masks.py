@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from deepfsi import load_design
+from deepfsi import InputError, load_design
 from deepfsi.adaptive.dictionary import DictionaryPosterior
-from deepfsi.base.errors import InputError
 from deepfsi.lab import results as frame_log
 from deepfsi.lab.design_data import design_rails
 from deepfsi.lab.devices import virtual_setup

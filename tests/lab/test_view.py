@@ -5,11 +5,10 @@ import pytest
 from calibration_samples import VIEW, calibration_of, vignette
 
 from counting.recording_samples import DEVICE, DWELL, SHAPE, Run, named, split, train
-from deepfsi.base.errors import InputError
+from deepfsi import InputError, load_dataset
 from deepfsi.camera.device import Device, find_device
 from deepfsi.camera.layout import DmdLayout, find_grid
 from deepfsi.counting.recording import Recording
-from deepfsi.datasets.load import load_dataset
 from deepfsi.lab import virtual_optics as camera
 from deepfsi.lab.calibration import reconstruct
 from deepfsi.lab.design_data import camera_view, view_dataset

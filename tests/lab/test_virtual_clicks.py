@@ -71,10 +71,7 @@ def test_a_gated_and_a_free_detector_give_the_same_clicks(tmp_path, light, rails
     """Photon by photon; a second count of gated photons changes nothing."""
     patterns(tmp_path / "p", light, rails)
     run = record(tmp_path, scenes(20), repeats=1, seed=3, **LIGHT)
-    free, photons = (
-        Recording.read(run).count(click_gates=GATES),
-        Recording.read(run).count(),
-    )
+    free, photons = (Recording.read(run).count(click_gates=GATES), Recording.read(run).count())
     gate(run, GATES)
     gated = Recording.read(run).count(click_gates=GATES)
     assert np.array_equal(gated.counts, free.counts)

@@ -5,8 +5,7 @@ import pytest
 import torch
 
 from conftest import FLOAT32, assert_moments, generator, synthetic
-from deepfsi import Scanner, learn
-from deepfsi.camera.light import photons_per_pixel
+from deepfsi import Scanner, learn, photons_per_pixel
 from deepfsi.exposure.training import JobGroup
 from deepfsi.exposure.training_set import TrainingSet
 from deepfsi.jobs.designs import DESIGNS as CODES

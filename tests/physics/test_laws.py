@@ -71,9 +71,7 @@ def analytic_error(rails: Tensor, photons: Tensor, noise: str, sigma: float) -> 
     """Pixel mean of the variance of the reconstruction M⁻¹ y."""
     both = Rails.of(rails)
     light = noise_module.Expectation(
-        photons @ both.difference.T,
-        photons @ both.total.T,
-        detection.Detection().readouts(both),
+        photons @ both.difference.T, photons @ both.total.T, detection.Detection().readouts(both)
     )
     power = noise_module.make_noise(noise, sigma=sigma).variance(light)
     return float((torch.linalg.inv(both.difference).square() @ power).mean())

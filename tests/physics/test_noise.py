@@ -7,9 +7,7 @@ import torch
 from torch.nn.functional import softplus
 
 from conftest import assert_moments, generator, quick
-from deepfsi import Scanner
-from deepfsi.base.errors import InputError
-from deepfsi.camera.camera import Camera
+from deepfsi import Camera, InputError, Scanner
 from deepfsi.physics import detection
 from deepfsi.physics import noise as noise_module
 from deepfsi.physics.noise import Poisson

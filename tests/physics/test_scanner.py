@@ -7,8 +7,7 @@ import torch
 from torch import Tensor
 
 from conftest import assert_moments, every_optics, generator
-from deepfsi import Scanner
-from deepfsi.base.errors import InputError
+from deepfsi import InputError, Scanner
 from deepfsi.physics import detection, noise
 from deepfsi.physics.laws import LearnedMasks
 from shared.noises import RAILS, TIMES

@@ -9,15 +9,7 @@ from conftest import quick
 from deepfsi import learn
 from deepfsi.evaluation import page_data
 from shared.browser import CONTRASTS, CUT, OVERFLOW, look, requests_of
-from shared.playground import (
-    KINDS,
-    ask,
-    outside,
-    page_writer,
-    press_button,
-    said,
-    wait_for_the_end,
-)
+from shared.playground import KINDS, ask, outside, page_writer, press_button, said, wait_for_the_end
 from shared.waiting import until
 
 WIDTHS = 1280, 400

@@ -11,8 +11,7 @@ import torch
 from safetensors import safe_open
 from safetensors.torch import load_file, save_file
 
-from deepfsi import Design
-from deepfsi.base.errors import InputError
+from deepfsi import Design, InputError
 
 
 def header_of(path: Path) -> dict[str, Any]:

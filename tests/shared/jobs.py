@@ -6,11 +6,9 @@ Light law and rails are the paper's unless others, or a camera, are given.
 
 from typing import Any
 
+from deepfsi import Camera, Job, Training
 from deepfsi import learn as learned
-from deepfsi.camera.camera import Camera
 from deepfsi.jobs.exposures import exposure_kinds
-from deepfsi.jobs.job import Job
-from deepfsi.jobs.training import Training
 
 OF_LEARN = ("counts", "matrix", "device", "report", "checkpoint", "callback")
 

@@ -2,9 +2,7 @@
 
 import numpy as np
 
-from deepfsi.datasets.arrays import from_arrays
-from deepfsi.datasets.dataset import Dataset
-from deepfsi.datasets.load import load_dataset
+from deepfsi import Dataset, from_arrays, load_dataset
 
 
 def centroids(x: np.ndarray) -> np.ndarray:

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from deepfsi import Design
-from deepfsi.base.errors import InputError
+from deepfsi import Design, InputError
 from deepfsi.sweeps import batch
 from deepfsi.training import learning
 from deepfsi.training.learning import footprint

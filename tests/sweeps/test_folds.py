@@ -4,11 +4,8 @@ import numpy as np
 import pytest
 
 from conftest import synthetic
-from deepfsi import evaluate, load_design
-from deepfsi.base.errors import InputError
+from deepfsi import InputError, evaluate, from_arrays, load_dataset, load_design
 from deepfsi.base.intervals import accuracy_interval, unpack_values
-from deepfsi.datasets.arrays import from_arrays
-from deepfsi.datasets.load import load_dataset
 from deepfsi.designfile.provenance import trained_on
 from deepfsi.lab.design_data import data_of
 from deepfsi.sweeps.plan import check_settings

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from conftest import same
-from deepfsi import Design
-from deepfsi.base.errors import InputError
+from deepfsi import Design, InputError
 from deepfsi.sweeps.plan import plan_trials
 from deepfsi.sweeps.recipe import Recipe
 from shared.jobs import learn

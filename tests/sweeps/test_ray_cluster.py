@@ -20,8 +20,7 @@ import pytest
 import ray
 from ray.cluster_utils import Cluster
 
-from deepfsi.base.errors import InputError
-from deepfsi.datasets.load import load_dataset
+from deepfsi import InputError, load_dataset
 from deepfsi.sweeps import ray_cluster
 from deepfsi.sweeps.plan import plan_trials
 from deepfsi.sweeps.ray_cluster import answers, run_on_ray

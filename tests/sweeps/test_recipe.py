@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from conftest import synthetic
-from deepfsi.base.errors import InputError
-from deepfsi.datasets.arrays import from_arrays
+from deepfsi import InputError, from_arrays
 from deepfsi.sweeps.plan import ADAPTIVE_SCENES, check_settings, plan_trials, with_adaptive
 from deepfsi.sweeps.recipe import Recipe, only
 

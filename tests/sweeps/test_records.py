@@ -31,12 +31,7 @@ def alone(digits, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "damage",
-    [
-        {"test": [{}]},
-        {"key": "0" * 24},
-        {"schema": RESULTS_SCHEMA - 1, "test": []},
-    ],
+    "damage", [{"test": [{}]}, {"key": "0" * 24}, {"schema": RESULTS_SCHEMA - 1, "test": []}]
 )
 def test_a_record_without_its_numbers_or_of_another_trial_is_none(digits, alone, tmp_path, damage):
     """Its design, if it is of this training, is tested anew and not trained."""

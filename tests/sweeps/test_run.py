@@ -8,8 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from deepfsi import Design, evaluate
-from deepfsi.base.errors import InputError
+from deepfsi import Design, InputError, evaluate
 from deepfsi.base.intervals import unpack_values
 from deepfsi.sweeps import batch
 from deepfsi.sweeps.plan import Trial

@@ -2,8 +2,7 @@
 
 import pytest
 
-from deepfsi import evaluate
-from deepfsi.base.errors import InputError
+from deepfsi import InputError, evaluate
 from deepfsi.physics.laws import light_law
 from shared.jobs import learn
 
@@ -12,8 +11,7 @@ FEW = {"masks": 16, "photons": 200.0, "epochs": 10, "hidden": (32,), "device": "
 
 @pytest.mark.usefixtures("uncharacterised")
 @pytest.mark.parametrize(
-    ("noise", "light", "rails"),
-    [("click", "free-dwell", "single"), ("camera", "column", "dual")],
+    ("noise", "light", "rails"), [("click", "free-dwell", "single"), ("camera", "column", "dual")]
 )
 def test_a_training_counts_what_was_asked_for_within_its_light_law(digits, noise, light, rails):
     """A tenth: the counts of test scenes differ by their brightness, and the training is brief."""

@@ -6,9 +6,8 @@ import pytest
 import torch
 
 from conftest import RECIPE, same
-from deepfsi import evaluate
+from deepfsi import InputError, evaluate
 from deepfsi import learn as learned
-from deepfsi.base.errors import InputError
 from deepfsi.design.file import file_of
 from deepfsi.training import losses
 from shared.checkpoints import TRAININGS

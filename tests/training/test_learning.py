@@ -19,8 +19,7 @@ from conftest import (
     synthetic,
     two_valued,
 )
-from deepfsi import Camera, evaluate
-from deepfsi.base.errors import InputError
+from deepfsi import Camera, InputError, evaluate
 from deepfsi.evaluation.page_data import check_playable
 from deepfsi.physics.laws import light_law
 from deepfsi.training import characterisation

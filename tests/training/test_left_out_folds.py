@@ -8,12 +8,11 @@ import torch
 from scipy.special import softmax
 
 from conftest import generator
-from deepfsi import learn
+from deepfsi import Job, learn
 from deepfsi.adaptive.exposure import AdaptiveExposure, AdaptiveTraining, LeftOutAnswers
 from deepfsi.evaluation.confidence import draw_logits
 from deepfsi.exposure.kind import Clicks, temperatures_at
 from deepfsi.jobs.exposures import AdaptiveMasks
-from deepfsi.jobs.job import Job
 from deepfsi.training import characterisation, learning
 
 PHOTONS, LOOKS = 1e4, 6
