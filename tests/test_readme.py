@@ -175,7 +175,7 @@ def test_readme(run, tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("undrawn")
+@pytest.mark.usefixtures("undrawn", "uncharacterised")
 @pytest.mark.parametrize(
     ("page", "made"),
     [
