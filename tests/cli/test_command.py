@@ -3,7 +3,6 @@
 import json
 from typing import Annotated, Any, Literal
 
-import click
 import pytest
 from click.testing import CliRunner
 from pydantic import BaseModel, Field
@@ -129,8 +128,3 @@ def test_an_axis_takes_several_values():
 
     [width] = command.ClickCommand(Compare, "compare", "").headings["Things"]
     assert (width.metavar, width.help) == ("<int,…>", "how wide it is")
-
-
-def test_a_missing_argument_is_named_by_click():
-    with pytest.raises(click.MissingParameter):
-        command.ClickCommand(Show, "show", "").main([], standalone_mode=False)

@@ -41,7 +41,6 @@ REFUSED = {
         --photons 1e39 | photons
         --trials 0 | --trials 0: give
         --designs pca --masks 2 --matrix negative.npy --rails single | matrix
-        --designs pca --photons 1e4 --masks 3 --detectors 9x9 | do not divide
         --epochs 10000000000000000000000 | 10000000000000000000000
     """,
     "sweep": """
@@ -89,10 +88,8 @@ REFUSED = {
         1e9s | a tick of 1000000000.0 s is not allowed
         2e9s | up to 1e9
     """,
-    "show a.safetensors --out x.txt": "| end the name in .png",
     "camera inspect a.safetensors": "| is not a PTU file",
     "camera calibrate run --spots nosuch": "| no picture at nosuch",
-    "camera check run": "| counts.npz is missing",
     f"camera live looks --scene few --virtual ideal {FAST}": """
         --projector dlp | unknown projector
         --projector vialux | do not go together

@@ -43,20 +43,6 @@ def test_a_tagger_may_be_on_for_any_time(tmp_path, start):
     assert np.array_equal(found, TIMES - TIMES[0])
 
 
-@pytest.mark.parametrize(
-    ("name", "content", "said"),
-    [
-        ("half.npy", np.array([[0.5, 1]]), "holds 0.5: give whole numbers"),
-        ("rounded.npy", np.add(TABLE, [2.0**54, 0]), "in floating point up to 2.53"),
-    ],
-)
-def test_what_tells_no_events_is_one_line(tmp_path, name, content, said):
-    np.save(tmp_path / name, content)
-    with pytest.raises(InputError, match=said) as error:
-        read_events(tmp_path / name)
-    assert "\n" not in str(error.value)
-
-
 FAR = TIMES * 1000  # 1 ms with ticks of 1 ps, whose order within 1 us is free
 BACK = r"time runs back on channel 8, event \d+: from"
 

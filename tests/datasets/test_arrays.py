@@ -121,7 +121,6 @@ def given(*arrays, **options):
 BAD_ARRAYS = {
     "NaN": (given(spoil(np.nan), Y), ("arrays: x reaches from nan",)),
     "negative": (given(spoil(-0.25), Y), ("from -0.25", "from 0 to 1:")),
-    "negative integers": (given(X.astype(int) - 3, Y), ("from -3", "subtract their offset")),
     "huge integers": (given(np.full((30, 4), 2**40), Y), ("4294967295",)),
     "objects": (given(np.full((30, 4), None), Y), ("object", "integers")),
     "colours first": (given(np.ones((30, 3, 8, 8)), Y), ("(30, 3, 8, 8)", "turn RGB to grey")),
@@ -133,9 +132,7 @@ BAD_ARRAYS = {
     "dark": (given(X * 0, Y), ("dark",)),
     "masked": (given(np.ma.masked_greater(X, 0.9), Y), ("hides values under a mask",)),
     "one-hot": (given(X, np.eye(3)[Y]), ("y.argmax(axis=1)",)),
-    "one-hot integers": (given(X, np.eye(3, dtype=int)[Y]), ("give one label to a scene",)),
     "lengths": (given(X, Y[:-1]), ("(29,)", "30 scenes")),
-    "values of other scenes": (given(X, Y[:-1] / 2), ("(29,)", "30 scenes")),
     "values without a limit": (given(X, np.where(Y, np.inf, 1.0)), ("finite",)),
     "one value of all": (given(X, Y * 0.0), ("that differ",)),
     "values in one part": (given(X, Y / 2, X, np.ones((30, 2))), ("other numbers of values",)),
@@ -146,9 +143,7 @@ BAD_ARRAYS = {
     "no y_test": (given(X, Y, X), ("y is object",)),
     "other pixels in test": (given(X, Y, X[:, :2], Y), ("(3, 4) in x", "(2, 4) in x_test")),
     "unknown class in test": (given(X, Y, X, Y + 1), ("holds the label 3", "0, 1, 2")),
-    "NaN in test": (given(X, Y, spoil(np.nan), Y), ("x_test reaches from nan",)),
     "no range": (given(X, Y, rescale=(0.5, 0.5)), ("rescale (0.5, 0.5)",)),
-    "to NaN": (given(X, Y, rescale=(float("nan"), 1)), ("0 <= low < high <= 1",)),
     "too few names": (given(X, Y, classes=("a", "b")), ("label 2",)),
     "a name twice": (given(X, Y, classes=("a", "b", "a")), ("its own name",)),
     "too many names": (given(X, Y, classes=tuple("abcd")), ("class 'd' has 0 scenes",)),
@@ -175,7 +170,6 @@ def test_shares_of_unequal_classes():
     [
         ({"X": X, "labels": Y}, ("holds X, labels", "give x and y")),
         ({"x": X, "y": Y, "X_test": X, "Y_test": Y}, ("X_test", "no other names")),
-        ({"x": spoil(-1), "y": Y}, ("scenes: x reaches from -1",)),
     ],
 )
 def test_bad_npz(arrays, parts, tmp_path):

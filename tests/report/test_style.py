@@ -5,14 +5,7 @@ from cycler import cycler
 
 from deepfsi.report.accuracy import accuracy_figure
 from deepfsi.report.style import Figures, photons_text
-from shared.figures import assert_sound
 from shared.results import make_results
-
-
-def test_figures_leave_matplotlib_as_it_was(tmp_path):
-    results = make_results(tmp_path)
-    assert_sound(lambda: accuracy_figure(results))
-
 
 CALLERS = [
     {

@@ -120,18 +120,15 @@ def test_confusions_and_images_are_kept_of_the_chosen_masks_alone(digits):
     assert (other.confusion, other.terms) == ((), ())
 
 
-def with_images(right, seed):
-    """A record that keeps the share of draws of each test image that are right."""
-    terms = {"accuracy": intervals.pack_values(right)}
-    return record(float(right.mean()), seed=seed, terms=terms)
-
-
 def test_an_interval_over_trials_covers_images_and_seeds_where_records_keep_them(digits):
     """One meaning of ±, whatever the number of trials: more trainings do not know other images."""
     rng = np.random.default_rng(0)
     chance = rng.random(len(digits.y_test)) ** 0.5
     rows = np.stack([rng.binomial(3, chance) / 3 for _ in range(3)])
-    (point,) = summary(digits, [with_images(row, k) for k, row in enumerate(rows)])
+    terms = [{"accuracy": intervals.pack_values(row)} for row in rows]
+    means = rows.mean(axis=1).tolist()
+    records = [record(means[k], seed=k, terms=each) for k, each in enumerate(terms)]
+    (point,) = summary(digits, records)
     interval = intervals.accuracy_interval(rows)
     assert (point.accuracy, point.low, point.high) == pytest.approx(interval, abs=1e-6)
     ends = intervals.balanced_interval(rows, digits.y_test)[1:]
@@ -139,8 +136,8 @@ def test_an_interval_over_trials_covers_images_and_seeds_where_records_keep_them
     assert point.high - point.low > 2 * 1.9 * np.std(np.mean(rows, axis=0)) / len(chance) ** 0.5
     assert "images" in point.covers
     assert "3 trainings" in point.covers
-    terms = np.stack([intervals.unpack_values(text) for text in point.terms])
-    np.testing.assert_allclose(terms, rows, atol=1e-6)
+    kept = np.stack([intervals.unpack_values(text) for text in point.terms])
+    np.testing.assert_allclose(kept, rows, atol=1e-6)
 
 
 def test_lit_masks_are_those_that_get_light_in_the_mean_over_trials(digits):

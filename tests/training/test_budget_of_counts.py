@@ -32,6 +32,5 @@ def test_a_training_counts_what_was_asked_for_within_its_light_law(digits, noise
     ],
 )
 def test_what_cannot_be_had_is_refused(digits, settings, match):
-    given = {**FEW, "counts": 6.0, **settings}
     with pytest.raises(InputError, match=match):
-        learn(digits, **{name: value for name, value in given.items() if value is not None})
+        learn(digits, **{**FEW, "counts": 6.0, **settings})
