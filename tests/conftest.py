@@ -6,6 +6,7 @@ million fails by chance; the seeds are fixed, so that it then fails always.
 
 import os
 import sys
+import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
@@ -330,3 +331,18 @@ def opened(browser, pages):
     from shared.playground import open_playground
 
     return lambda kind, *screen, **motion: open_playground(browser, pages(kind), *screen, **motion)
+
+
+@pytest.fixture(scope="session")
+def deepinv():
+    """Import deepinv; the torchvision of package indexes does not know torch's CPU build."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            import deepinv
+        except RuntimeError:
+            library = torch.library.Library("torchvision", "DEF")
+            for operator in ("nms", "qnms"):
+                library.define(f"{operator}(Tensor boxes) -> Tensor")
+            import deepinv
+    return deepinv

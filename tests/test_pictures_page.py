@@ -1,5 +1,6 @@
 """The page that gives a run's counts to other packages: its readouts are A x, to their noise."""
 
+import os
 import re
 from pathlib import Path
 from typing import Any
@@ -9,6 +10,7 @@ import pytest
 import torch
 from scipy.optimize import nnls
 
+from conftest import once
 from deepfsi.camera.device import Device
 from deepfsi.counting.recording import Recording
 from deepfsi.lab.virtual_optics import VirtualCamera
@@ -18,7 +20,8 @@ from deepfsi.physics.laws import light_law
 from shared.virtual_runs import record
 
 PAGE = (Path(__file__).parents[1] / "docs/do/pictures.md").read_text()
-[CODE] = re.findall(r"```python\n(.*?)```", PAGE, flags=re.DOTALL)
+RUN, DESIGN, REAL = re.findall(r"```python\n(.*?)```", PAGE, flags=re.DOTALL)
+DATA = Path(os.environ.get("DEEPFSI_DATA") or ".")
 SHAPE = (2, 4)
 SCENES = np.random.default_rng(4).uniform(0.1, 1, (3, *SHAPE))
 
@@ -39,7 +42,7 @@ def test_readouts_are_the_matrix_times_the_scene(tmp_path, light, rails):
     run = record(tmp_path / "run", tmp_path / "patterns", SCENES, camera, 5e7, 5e-3, **told)
     Recording.read(run).count()
     names: dict[str, Any] = {}
-    exec(CODE, names)
+    exec(RUN, names)
     y, variance, matrix = names["linear_model"](run)
     scenes, read = SCENES.reshape(3, 8), variance.min(axis=0) > 0
     off = ((y - scenes @ matrix.T)[:, read] / variance[:, read] ** 0.5).ravel()
@@ -50,3 +53,18 @@ def test_readouts_are_the_matrix_times_the_scene(tmp_path, light, rails):
     error = np.linalg.inv(weighted.T @ weighted).diagonal() ** 0.5
     found = nnls(weighted, y[0, read] * weights)[0]
     assert (abs(found - scenes[0]) / error).max() < 4.5
+
+
+@pytest.mark.usefixtures("deepinv")
+def test_a_design_is_an_operator_and_real_counts_are_pictures(digits, capsys, monkeypatch):
+    images = torch.from_numpy(digits.x_test[:3]).unflatten(1, (1, 8, 8))
+    names: dict[str, Any] = {"design": once(digits, "pca"), "images": images}
+    exec(DESIGN, names)
+    assert names["pictures"].shape == images.shape
+    if not (DATA / "spc_photon_counter").exists():
+        pytest.skip("needs $DEEPFSI_DATA/spc_photon_counter")
+    monkeypatch.chdir(DATA)
+    exec(REAL, {})
+    printed = [list(map(float, line.split())) for line in capsys.readouterr().out.splitlines()]
+    said = [list(map(float, line.split())) for line in re.findall(r"^    ([\d. ]+)$", PAGE, re.M)]
+    np.testing.assert_allclose(printed, said, atol=0.02)  # kernels of other processors learn alike

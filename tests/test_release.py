@@ -11,7 +11,6 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src"
-BUILD = [sys.executable, "-m", "hatchling", "build", "-d"]
 LIBRARIES = Path(importlib.util.find_spec("torch").origin).parents[1]
 
 
@@ -19,16 +18,16 @@ LIBRARIES = Path(importlib.util.find_spec("torch").origin).parents[1]
 def installed(tmp_path_factory) -> Path:
     """Environment that holds the wheel of the sdist; libraries are those of the tests."""
     folder = tmp_path_factory.mktemp("package")
-    subprocess.run([*BUILD, folder, "-t", "sdist"], cwd=ROOT, check=True, capture_output=True)
-    [sdist] = folder.glob("*.tar.gz")
-    subprocess.run(["tar", "-xzf", sdist, "-C", folder], check=True)
-    [source] = folder.glob("deepfsi-*/")
-    subprocess.run([*BUILD, folder, "-t", "wheel"], cwd=source, check=True, capture_output=True)
+
+    def run(*words: object) -> None:
+        subprocess.run([sys.executable, "-m", *words], check=True, capture_output=True)
+
+    run("build", "--no-isolation", "--outdir", folder, ROOT)  # the wheel is made of the sdist
+    run("twine", "check", "--strict", *folder.glob("deepfsi-*"))
     [wheel] = folder.glob("*.whl")
     venv.create(folder / "environment")
     python = folder / "environment/bin/python"
-    words = ["--python", python, "install", "--no-deps", "--no-index", "--quiet", wheel]
-    subprocess.run([sys.executable, "-m", "pip", *words], check=True, capture_output=True)
+    run("pip", "--python", python, "install", "--no-deps", "--no-index", "--quiet", wheel)
     [own] = python.parents[1].glob("lib/*/site-packages")
     (own / "libraries.pth").write_text(f"{LIBRARIES}\n")
     return python.parents[1]
