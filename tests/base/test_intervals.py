@@ -99,7 +99,7 @@ def assert_covers(intervals, truth, most=0.99):
 @pytest.mark.parametrize("rate", [0.6, 0.9])
 def test_it_covers_images_seeds_and_draws(images, seeds, rate):
     rng = np.random.default_rng(images + seeds)
-    ends = [accuracy_interval(crossed(rng, images, seeds, rate)) for _ in range(400)]
+    ends = [accuracy_interval(crossed(rng, images, seeds, rate)) for _ in range(200)]
     assert_covers([(low, high) for _, low, high in ends], rate)
     assert all(0 <= low <= mean <= high <= 1 for mean, low, high in ends)
 
@@ -138,9 +138,9 @@ def answers(rng, images, seeds, gain):
 @pytest.mark.parametrize(("images", "seeds"), [(24, 1), (100, 1), (100, 3), (1000, 3)])
 def test_alike_designs_are_told_apart_in_at_most_five_of_a_hundred_studies(images, seeds):
     rng = np.random.default_rng(images + seeds)
-    found = [paired_difference(*answers(rng, images, seeds, 0.0)) for _ in range(400)]
+    found = [paired_difference(*answers(rng, images, seeds, 0.0)) for _ in range(200)]
     told = sum(each.low > 0 or each.high < 0 for each in found)
-    assert told <= stats.binom.ppf(1 - 3e-5, 400, 0.05)
+    assert told <= stats.binom.ppf(1 - 3e-5, 200, 0.05)
 
 
 def test_points_are_paired_by_the_terms_of_their_images():
@@ -208,9 +208,9 @@ def test_images_and_draws_count_once_where_trainings_are_alike(images):
     for interval in kinds.values():
         alike = [
             interval(right) == pytest.approx(interval(right.mean(axis=0)), rel=1e-12)
-            for right in rng.binomial(3, rates, (400, 3, sum(images))) / 3
+            for right in rng.binomial(3, rates, (200, 3, sum(images))) / 3
         ]
-        deviation = (0.632 * 0.368 / 400) ** 0.5
+        deviation = (0.632 * 0.368 / 200) ** 0.5
         assert np.mean(alike) == pytest.approx(stats.chi2.cdf(2, 2), abs=5 * deviation)
         apart = 0.6 + 0.1 * np.array([[-1], [0], [1]]) + np.zeros((3, sum(images)))
         mean, low, high = interval(apart)
