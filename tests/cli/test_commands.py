@@ -1,5 +1,6 @@
 """The command line: what it prints, and one clear line with exit code 2 for bad input."""
 
+import json
 import subprocess
 import sys
 
@@ -54,3 +55,18 @@ def test_a_recipe_of_the_package_goes_by_its_name_and_a_file_by_its_path(tmp_pat
 def test_no_two_options_have_one_name(path):
     names = [name for each in COMMANDS[path].params for name in (each.name, *each.opts[1:])]
     assert len(set(names)) == len(names)
+
+
+COMPARE = ("compare", "--photons", "1e3", "--trials", 1, "--epochs", 1, "--designs", "pca")
+
+
+def test_other_settings_in_a_folder_lose_no_training(done, tmp_path):
+    """The results are those of the last command; records and designs of others stay."""
+    out = tmp_path / "out"
+    done(*COMPARE, "--masks", 3, "-o", out)
+    before = json.loads((out / "results.json").read_bytes())
+    done(*COMPARE, "--masks", 4, "-o", out)
+    assert len([*(out / "trials").iterdir()]) == 2
+    done(*COMPARE, "--masks", 3, "-o", out)
+    again = json.loads((out / "results.json").read_bytes())
+    assert again["points"] == before["points"]

@@ -1,6 +1,7 @@
-"""Anyone's module as the classifier: learned, tested, saved, loaded only with trust, exported."""
+"""The paper's classifier, and anyone's module: learned, tested, saved, exported, run with trust."""
 
 import functools
+import math
 import sys
 
 import numpy as np
@@ -10,7 +11,7 @@ from torch import nn
 
 import deepfsi
 from conftest import PHOTONS, RECIPE, generator, light_on, same
-from deepfsi import Design, InputError, design_of
+from deepfsi import Design, InputError, Mlp, design_of
 from deepfsi.camera.detectors import DetectorMap
 from deepfsi.design import networks as own
 from deepfsi.design.onnx import to_onnx
@@ -169,3 +170,20 @@ def test_a_loop_of_ones_own_is_checked(digits, rails, numbers, outputs, match):
     scanner = deepfsi.Scanner.from_rails(rails, **numbers)
     with pytest.raises(InputError, match=match):
         deepfsi.design_of(scanner, nn.Linear(*outputs), digits, 1e4)
+
+
+@pytest.mark.parametrize("dropout", [0.1, 0.25, 0.5, 0.9])
+def test_dropout_drops_its_share_and_keeps_the_mean(dropout):
+    """Logits are the units of the one hidden layer, all 1 before dropout."""
+    net = Mlp(3, 20, (20,), dropout, generator()).train()
+    with torch.no_grad():
+        net.layers[0].weight.zero_()
+        net.layers[0].bias.fill_(1)
+        net.layers[1].weight.copy_(torch.eye(20))
+        net.layers[1].bias.zero_()
+    units = net(torch.zeros(5000, 3))
+    assert units.unique().tolist() == pytest.approx([0.0, 1 / (1 - dropout)])
+    dropped = (units == 0).double()
+    one = math.sqrt(dropout * (1 - dropout))
+    assert abs(dropped.mean() - dropout) <= 5 * one / math.sqrt(units.numel()) + 2**-16
+    assert ((dropped.mean(dim=0) - dropout).abs() <= 5 * one / math.sqrt(5000)).all()

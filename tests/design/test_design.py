@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import torch
 
-from conftest import PHOTONS, every_optics, light_on
+from conftest import PHOTONS, every_optics, light_on, quick
 from deepfsi import Design, InputError, evaluate, load_design, predict
 from shared.design_files import refused, rewrite
 from shared.jobs import learn
@@ -124,3 +124,24 @@ def test_budgets_that_are_not_of_the_exposures_are_refused(made):
     counts = np.ones((4, *design.counts_shape))
     with pytest.raises(InputError, match=r"photons of shape \(3,\) do not fit counts of \(4,\)"):
         design.classify(counts, np.full(3, 1e4))
+
+
+FEW = 60.0
+
+
+@pytest.fixture(scope="module")
+def clicking(digits):
+    return quick(digits, noise="click", gates=2, rails="single", photons=FEW)
+
+
+def test_counts_of_a_result_are_clicks_and_it_says_what_arrives(clicking, digits):
+    """Against the closed form of the test scenes' rates."""
+    [result] = evaluate(clicking, digits, FEW, draws=1)
+    rates = clicking.exposure.rates(clicking.scanner(), torch.from_numpy(digits.x_test)) * FEW
+    clicks = 2 * (1 - torch.exp(-rates.double() / 2))
+    assert result.noise == "click"
+    assert result.counts == pytest.approx(float(clicks.flatten(1).sum(dim=1).mean()), rel=1e-4)
+    assert result.arriving == pytest.approx(float(rates.flatten(1).sum(dim=1).mean()), rel=1e-4)
+    assert result.counts < result.arriving
+    [photons] = evaluate(clicking, digits, FEW, noise="poisson", draws=1)
+    assert photons.counts == photons.arriving == pytest.approx(result.arriving, rel=1e-6)

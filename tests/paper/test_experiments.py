@@ -5,15 +5,20 @@ import itertools
 from dataclasses import replace
 from functools import cache
 
+import numpy as np
 import pytest
 
 from deepfsi.base.errors import InputError
+from deepfsi.report.accuracy import accuracy_figure
+from deepfsi.report.masks import masks_figure
 from deepfsi_paper import experiment, mlgauss, studies
 from deepfsi_paper.indian_pines import claims as indian_pines
 from deepfsi_paper.mnist import accuracy as mnist
+from deepfsi_paper.report import section as section_module
+from deepfsi_paper.report.study_page import write_study
 from shared.experiments import EVERY, run_all
-from shared.pages import assert_headed
-from shared.results import a_point, of_three, some_results
+from shared.pages import assert_headed, assert_whole
+from shared.results import a_point, make_results, of_three, some_results
 
 
 @pytest.fixture(scope="module")
@@ -142,3 +147,14 @@ def test_a_part_and_ratios_take_the_place_of_the_recipes(refuse, tmp_path):
     assert "ratios" in refuse(*asked, "--ratios", "2")
     assert "not both" in refuse("reproduce", "ovit", "--ratios", "0.5", "-o", out)
     assert not out.exists()
+
+
+def test_page_is_one_self_contained_document(tmp_path):
+    figures = (accuracy_figure(make_results(tmp_path)), masks_figure(np.eye(4, 16), (4, 4)))
+    pictures = tuple(section_module.Picture(each, "words", "words") for each in figures)
+    words = dict.fromkeys(("title", "found", "paper", "command"), "words")
+    parts = {"pictures": pictures, "claims": (), "tables": (), "files": ("masks 10.csv",)}
+    one = section_module.Section(name="one", data="digits", **words, **parts)
+    page = write_study(tmp_path / "out", "A study", [one]).read_text("utf-8")
+    assert_whole(page, tmp_path / "out", {"masks%2010.csv"})
+    assert {p.name for p in (tmp_path / "out").iterdir()} == {"figures", "report.html"}
