@@ -154,7 +154,7 @@ def deep(folder, pictures, bright):
         Image.fromarray(picture.astype(np.uint16)).save(path)
 
 
-def test_scenes_have_the_white_of_the_design(done, digits, tmp_path):
+def test_scenes_have_the_white_of_the_design(done, digits, tmp_path, trained_once):
     """Dim pictures of 12 bits would pass for those of 10: four times as bright."""
     deep(tmp_path / "train", digits.x_train[:40], 4095)
     deep(tmp_path / "dim", digits.x_test[:4], 4095 / 5)

@@ -117,9 +117,9 @@ def test_a_click_and_none_are_taken_in_by_bayes_rule(training):
 def test_a_detector_that_stays_dark_in_a_bright_look_gives_no_answer(training, data):
     """Scenes send 20 photons to the bright look in the mean, and a dead detector sees none."""
     price = 0.1
-    dead = run(training, 0 * data.x_test, price)
+    dead = run(training, 0 * data.x_test[:8], price)
     shares = training.prior.class_shares.expand(len(data.x_test), -1)
-    assert torch.equal(dead.probabilities, shares)
+    assert torch.equal(dead.probabilities, shares[:8])
     assert dead.clicks.sum() == dead.arriving.sum() == 0
     seen = run(training, data.x_test, price)
     assert not (seen.probabilities == shares).all(dim=1).any()  # one of 128 by a chance of 1e-4

@@ -109,6 +109,7 @@ def test_light_has_the_moments_of_the_scenes():
     assert found.share.std() == pytest.approx(dark_free.noise * mean**0.5, rel=0.06)
 
 
+@pytest.mark.usefixtures("trained_once")
 def test_a_design_that_does_not_know_the_usual_misfit_is_refused():
     few = make("dmd", count=38)
     with pytest.raises(InputError, match="20 training scenes of each class"):

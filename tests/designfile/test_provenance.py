@@ -32,7 +32,7 @@ def data(request, tmp_path_factory):
 
 
 @pytest.fixture(scope="module", params=DESIGNS)
-def design(request, data, tmp_path_factory):
+def design(request, data, tmp_path_factory, all_trained_once):
     made = learn(data, photons=1e4, **DESIGNS[request.param])
     return load_design(made.save(tmp_path_factory.mktemp("design") / "one.safetensors"))
 

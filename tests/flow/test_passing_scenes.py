@@ -20,7 +20,7 @@ def data():
 
 
 @pytest.fixture(scope="module")
-def design(data):
+def design(data, all_trained_once):
     """A pattern that scenes enter and leave within the bins."""
     return deepfsi.learn(
         data,

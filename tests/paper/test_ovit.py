@@ -41,6 +41,7 @@ def images(monkeypatch):
     return data
 
 
+@pytest.mark.usefixtures("uncharacterised")
 def test_a_study_ends_in_a_page_with_figures_and_claims(images, tmp_path):
     results = ovit.EXPERIMENT.run(tmp_path, command="deepfsi reproduce ovit", device="cpu")
     assert len(results.points) == 10
