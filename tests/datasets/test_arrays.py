@@ -7,8 +7,10 @@ import pytest
 import torch
 from dataset_samples import X, Y, not_loaded, numbers, refused
 
-from deepfsi import InputError, from_arrays, load_dataset
+from deepfsi import InputError
 from deepfsi.datasets import arrays
+from deepfsi.datasets.arrays import from_arrays
+from deepfsi.datasets.load import load_dataset
 
 
 def test_arrays_are_divided_into_stratified_parts_that_share_no_scene():

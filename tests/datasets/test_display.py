@@ -6,8 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from deepfsi import InputError, load_dataset
+from deepfsi import InputError
 from deepfsi.datasets.display import read_display, write_display
+from deepfsi.datasets.load import load_dataset
 from shared.pictures import save_images
 
 

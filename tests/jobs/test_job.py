@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 import torch
 
-from deepfsi import Camera, InputError, Job, Training
+from deepfsi import Camera, InputError
 from deepfsi.base.progress import Progress
 from deepfsi.exposure import training_set
 from deepfsi.jobs.designs import sensing_matrix
+from deepfsi.jobs.job import Job
 from deepfsi.jobs.job import job_of as asked
+from deepfsi.jobs.training import Training
 from deepfsi.physics.detection import Rails
 from deepfsi.physics.laws import light_law
 from shared.jobs import job as job_of
