@@ -33,13 +33,13 @@ def test_the_log_loss_of_knowing_nothing_or_the_wrong_is_finite(right):
 
 
 def test_errors_of_values_are_means_over_draws_and_r2_is_of_their_variance():
-    truth = np.array([[0.0], [2.0]], dtype=np.float32)
-    estimates = np.array([[1.0], [2.0], [-1.0], [2.0]], dtype=np.float32)  # draw by draw
+    truth = np.array([[0.0], [4.0]], dtype=np.float32)
+    estimates = np.array([[1.0], [4.0], [-1.0], [4.0]], dtype=np.float32)  # draw by draw
     rest = {"truth": truth, "scenes": np.array([0, 1, 0, 1]), "draws": 2, "shares": [1.0]}
     found = Estimates.of(ValueAnswers(estimates, **TEST, **rest), ("x",))
     assert found.rmse == [pytest.approx(math.sqrt(0.5))]
-    assert (found.r2, found.r2_each) == (0.5, [0.5])
-    assert found.image_terms == {"R²": [0, 1]}
+    assert (found.r2, found.r2_each) == (0.875, [0.875])
+    assert found.image_terms == {"R²": [0.75, 1]}
 
 
 def test_draws_of_a_scene_stand_together_in_their_order():

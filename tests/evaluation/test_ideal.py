@@ -11,6 +11,7 @@ from scipy.stats import poisson
 
 from conftest import every_optics, generator
 from deepfsi import InputError, evaluate, ideal_observer
+from deepfsi.base.progress import Progress
 from deepfsi.evaluation.ideal import IdealObserver
 
 
@@ -51,6 +52,15 @@ def test_no_other_rule_is_better_on_scenes_of_the_prior(good, made, digits, phot
     [bound] = ideal_observer(made("impulse", "column", "single"), known, photons)
     assert bound.draws == 1
     assert bound.accuracy > ideal.accuracy - 5 * spread, "column designs route impulse imaging's"
+
+
+@pytest.mark.parametrize("test", [evaluate, ideal_observer])
+def test_a_test_draws_by_seed_0_and_ends_with_all_done(good, digits, test):
+    shares = []
+    progress = Progress(lambda share, _: shares.append(share))
+    found = test(good, digits, [30.0, 100.0], draws=1, report=progress)
+    assert found == test(good, digits, [30.0, 100.0], draws=1, seed=0)
+    assert shares[-1] == 1
 
 
 def test_what_cannot_be_had_is_refused(good, digits):

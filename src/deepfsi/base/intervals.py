@@ -92,9 +92,7 @@ def _widen_by_seeds(
     from scipy import stats
 
     mean = interval.mean
-    reach = 0.0
-    if len(terms) > 1:
-        reach = float(stats.t.ppf(0.975, len(terms) - 1)) * seeds_error(terms)
+    reach = float(stats.t.ppf(0.975, max(len(terms) - 1, 1))) * seeds_error(terms)
     low = mean - math.hypot(mean - interval.low, reach)
     high = mean + math.hypot(interval.high - mean, reach)
     return Interval(mean, max(low, bounds[0]), min(high, bounds[1]))
@@ -266,8 +264,7 @@ def find_crossing(
 
     def reached(accuracy: np.ndarray) -> int:
         """Index of the budget from which on the target is reached; their number if none."""
-        short = np.flatnonzero(accuracy < target)
-        return int(short[-1]) + 1 if len(short) else 0
+        return int(np.flatnonzero(np.append(True, accuracy < target))[-1])
 
     indices = reached(upper), reached(curve), reached(lower)
     low, best, high = (
@@ -282,7 +279,7 @@ def _curve_bounds(x: np.ndarray, y: np.ndarray, at: np.ndarray) -> tuple[np.ndar
     # continued into this one (flat where there is none); clipped to the two points of the gap, and
     # at a point its own value
     slopes = np.diff(y) / np.diff(x)
-    gap = np.clip(np.searchsorted(x, at, side="right") - 1, 0, len(slopes) - 1)
+    gap = np.searchsorted(x[1:-1], at, side="right")
     before = np.append(0.0, slopes)[gap]
     after = np.append(slopes, 0.0)[gap + 1]
     lines = np.stack(

@@ -175,7 +175,7 @@ class FrameStarts:
         edges_s = np.stack([opens_s, opens_s + windows.length_s]).reshape(2, -1)
         begins, ends = np.rint(edges_s / tick_s).astype(np.int64)
         # starts must rise, as counting wants: none may come after a later one
-        begins = np.minimum(np.minimum.accumulate(begins[::-1])[::-1], ends.max())
+        begins = np.minimum.accumulate(begins[::-1])[::-1]
         ends[:-1] = np.minimum(ends[:-1], begins[1:])
         photons = count_windows(source, begins, ends, inputs, progress=progress)
         shape = opens_s.shape
@@ -190,11 +190,10 @@ def _follows(starts: np.ndarray, pictures: np.ndarray, tolerance: float) -> bool
     span = starts[:, -1] - starts[:, 0]
     rate = span / schedule[-1]  # clocks may differ: steps are compared at the rate of their pass
     steps = np.diff(np.append(0.0, schedule))
-    off = np.abs(np.diff(starts) - steps * rate[:, None]).max(initial=0)
-    drift = np.abs(span - schedule[-1]).max(initial=0) - MOST_DRIFT * schedule[-1]
-    ends = starts[:-1, -1] + pictures[-1] * (1 - MOST_DRIFT)
-    overlap = (ends - starts[1:, 0]).max(initial=-np.inf)
-    return bool(max(off, drift, overlap) <= tolerance)
+    off = np.abs(np.diff(starts) - steps * rate[:, None])
+    drift = np.abs(span - schedule[-1]) - MOST_DRIFT * schedule[-1]
+    overlap = starts[:-1, -1] + pictures[-1] * (1 - MOST_DRIFT) - starts[1:, 0]
+    return all((apart <= tolerance).all() for apart in (off, drift, overlap))
 
 
 def _as_measured(times: np.ndarray, pictures: np.ndarray, tolerance: float) -> np.ndarray:

@@ -140,8 +140,7 @@ class Result(_AnswerTest):
     def cells(self, classes: Sequence[str]) -> list[tuple[str, str]]:
         """Accuracy of the worst class, for a table."""
         worst = worst_class(self.rates)
-        accuracy = self.rates[worst] or 0.0
-        return [("worst class", f"{accuracy:.3f} ({short_name(classes[worst])})")]
+        return [("worst class", f"{self.rates[worst]:.3f} ({short_name(classes[worst])})")]
 
     @property
     def right(self) -> list[float]:
@@ -212,7 +211,7 @@ def results_lines(
         rows.append(
             (
                 budget_text(result.photons),
-                rate_text(*(result.score(key) or 0.0 for key in main.keys)),
+                rate_text(*(getattr(result, key) for key in main.keys)),
                 *("–" if score is None else f"{score:.3f}" for score in scores),
                 *(cell for _, cell in result.cells(classes)),
                 *(count_text(getattr(result, name)) for name in light),

@@ -133,7 +133,7 @@ class Detection:
             return pixels
         order = self._order.to(pixels.device)
         # fillers have the index N: a dark pixel
-        if len(order) > pixels.shape[-1]:
+        if len(order) != pixels.shape[-1]:
             pixels = functional.pad(pixels, (0, 1))
         return pixels.index_select(-1, order)
 
