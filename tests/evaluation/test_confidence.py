@@ -128,8 +128,8 @@ def test_scenes_left_out_are_tested_beside_guesses(clear, unseen, guesses):
     """Two exposures of a scene are one scene; its error is that of a mean over scenes."""
     labels = np.repeat([0, 1, 1, 2, 0], 2)
     logits = clear * np.eye(3)[[0, 0, 1, 2, 1, 1, 2, 2, 1, 0]]
-    scenes = CalibrationScenes(labels, lambda *_: logits, draws=2, base=BASE[:3])
-    fitted = Temperatures(np.log([[2.0, 2.0]]), np.array([1e3, 1e4]))
+    scenes = CalibrationScenes(labels, lambda _, stop: stop * logits, 2, draws=2, base=BASE[:3])
+    fitted = Temperatures(np.log([[1.0, 1.0], [2.0, 2.0]]), np.array([1e3, 1e4]))
     guess = np.array([0.5 - unseen / 2, 0.5 - unseen / 2, unseen])
     found = measure_left_out(scenes, fitted, 3e3, guess)
     rows = np.arange(10)
