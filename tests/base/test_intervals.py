@@ -237,6 +237,8 @@ def test_the_error_of_trainings_is_without_that_share_of_images_and_draws(off):
         squares.append(seeds_error(sum(parts), off) ** 2)
     wanted = (0.3**2 + (1 - off) / images) / seeds
     assert np.mean(squares) == pytest.approx(wanted, abs=5 * np.std(squares) / 4000**0.5 + 3e-4)
+    few = np.array([[1.6, 0.4], [-1.6, -0.4]])  # trainings ±1, and a rest of ±0.6
+    assert seeds_error(few, off) == pytest.approx((1 - 0.36 * off) ** 0.5)
 
 
 @pytest.mark.parametrize("images", [2, 7])

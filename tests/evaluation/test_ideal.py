@@ -49,6 +49,7 @@ def test_no_other_rule_is_better_on_scenes_of_the_prior(good, made, digits, phot
     [network] = evaluate(good, known, photons, draws=draws, seed=1)
     spread = math.sqrt(2 * 0.25 / len(known.y_test))
     assert ideal.accuracy > network.accuracy - 5 * spread
+    assert ideal.photons_per_mask == pytest.approx(network.photons_per_mask, rel=1e-4)
     [bound] = ideal_observer(made("impulse", "column", "single"), known, photons)
     assert bound.draws == 1
     assert bound.accuracy > ideal.accuracy - 5 * spread, "column designs route impulse imaging's"
