@@ -126,6 +126,12 @@ def test_classes_that_were_given_before_a_refusal_say_so(patterns, copied):
     assert "before the run was refused, at scene 4" in found[0].as_dict()["faults"][-1]
 
 
+def test_settings_that_cannot_be_are_refused(digits, patterns, tmp_path):
+    with pytest.raises(InputError, match="between 0 and 1"):
+        live(tmp_path / "run", patterns, digits, until=1.0)
+    assert not (tmp_path / "run").exists()
+
+
 @pytest.mark.parametrize(
     ("limits", "words"),
     [
