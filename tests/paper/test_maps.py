@@ -47,6 +47,7 @@ FIGURES = {
 }
 
 
+@pytest.mark.usefixtures("drawn_once")
 @pytest.mark.parametrize("draw", FIGURES.values(), ids=FIGURES)
 def test_words_can_be_read_and_fragments_are_sound(draw):
     figure = draw()

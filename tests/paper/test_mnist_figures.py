@@ -3,6 +3,8 @@
 import itertools
 import math
 
+import pytest
+
 from deepfsi.jobs.designs import DESIGNS, mask_count
 from deepfsi_paper import measures
 from deepfsi_paper.mnist import figures
@@ -30,6 +32,7 @@ def results():
     return some_results(points, recipe=recipe, data={"mean_reflectance": 0.37})
 
 
+@pytest.mark.usefixtures("drawn_once")
 def test_words_can_be_read_and_fragments_are_sound():
     figure = figures.error_figure(results())
     assert figure.get_figwidth() <= 10

@@ -70,7 +70,7 @@ def finding():
             tests[(name, exposure)] = a_test(name, exposure, 0.85 - 0.1 * place + 0.03 * step)
     measures = laboratory.Measures(tests=[*tests.values()])
     with pytest.MonkeyPatch.context() as patch:  # of 9999 for each of 1440 intervals of a table
-        patch.setattr(bootstrap, "RESAMPLES", 99)
+        patch.setattr(bootstrap, "RESAMPLES", 19)
         return claims.show(some_results([a_point(0.9, 0.01)], extra=asdict(measures)))
 
 

@@ -29,7 +29,7 @@ TINY = Recipe(
 
 
 @pytest.fixture
-def images(monkeypatch):
+def images(monkeypatch, trained_once):
     """Make the study one of small synthetic images, of a moment."""
     data = synthetic((8, 8))
     monkeypatch.setattr(experiment, "load_dataset", lambda name, **how: data)

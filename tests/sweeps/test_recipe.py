@@ -7,7 +7,7 @@ import pytest
 
 from conftest import synthetic
 from deepfsi import InputError, from_arrays
-from deepfsi.sweeps.plan import ADAPTIVE_SCENES, check_settings, plan_trials, with_adaptive
+from deepfsi.sweeps.plan import check_settings, plan_trials, with_adaptive
 from deepfsi.sweeps.recipe import Recipe, only
 
 FILE = {
@@ -73,8 +73,9 @@ def test_adaptive_masks_are_compared_unasked_where_they_can_be_had(digits, setti
     assert more.designs == (*recipe.designs, *("adaptive",) * had)
 
 
-def test_adaptive_masks_are_left_out_where_they_take_long_or_have_no_classes():
-    recipe, many = Recipe(masks=4), synthetic((4, 4), scenes=ADAPTIVE_SCENES)
+def test_adaptive_masks_are_left_out_where_they_take_long_or_have_no_classes(monkeypatch):
+    monkeypatch.setattr("deepfsi.sweeps.plan.ADAPTIVE_SCENES", 300)
+    recipe, many = Recipe(masks=4), synthetic((4, 4), scenes=300)
     assert "adaptive" in with_adaptive(recipe, many).designs
     more = replace(many, x_test=many.x_test[[0, *range(len(many.x_test))]])
     assert "adaptive" not in with_adaptive(recipe, more).designs
