@@ -148,7 +148,7 @@ def test_a_design_says_when_it_is_told_otherwise(done, refuse, pictures, file, t
     assert "give the data to test it on" in refuse(*words)
 
 
-def test_a_design_of_arrays_asks_for_data(refuse, done, file, tmp_path):
+def test_a_design_of_arrays_asks_for_data(refuse, done, file, tmp_path, trained_once):
     x, npz = np.random.default_rng(0).random((60, 9)), tmp_path / "scenes.npz"
     data = from_arrays(x, np.arange(60) % 2)
     learn(data, photons=1e4, masks=3, training={"epochs": 1}, device="cpu").save(file)

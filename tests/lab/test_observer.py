@@ -1,5 +1,7 @@
 """Laws of the decisions of a live run: what they owe to the budget, dead time and light."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -15,8 +17,9 @@ FLUX = 1e7
 
 
 @pytest.fixture(scope="module", params=OPTICS)
-def patterns(request, digits, tmp_path_factory):
-    return make_patterns(tmp_path_factory.mktemp("decisions"), digits, request.param)
+def patterns(request, digits, tmp_path_factory, all_trained_once):
+    few = replace(digits, x_train=digits.x_train[:400], y_train=digits.y_train[:400])
+    return make_patterns(tmp_path_factory.mktemp("decisions"), few, request.param)
 
 
 def light(patterns, scene, lists):

@@ -48,7 +48,6 @@ def test_all_readouts_together_count_at_most_the_images_light(training_set, phot
 
 
 @pytest.mark.usefixtures("uncharacterised", "trained_once")
-@pytest.mark.usefixtures("trained_once")
 def test_each_exposure_has_its_own_budget(training_set):
     """As many exposures as an image has patches: a budget is of an exposure, not of a patch."""
     settings = {"exposure": {"patch": 4}, "training": {"classifier": "vit", "epochs": 1}}
