@@ -1,6 +1,6 @@
 """Wrong and sure without a mark: pictures that are no digits, faults of the camera, and neither.
 
-    python benchmarks/unlike.py                                   # three hours, one core
+    python benchmarks/unlike.py                                   # two hours, one core
     python benchmarks/unlike.py --runs 2 --sound 0 --only turned  # a short look
 
 Designs are learned on digits at 10⁴ photons. Test scenes, or other pictures, are shown with a

@@ -16,14 +16,14 @@ SOURCE = ROOT / "src/deepfsi"
 
 LINES = {
     "adaptive": 1386,
-    "base": 1607,
+    "base": 1604,
     "camera": 1109,
     "cli": 1838,
-    "counting": 3168,
+    "counting": 3166,
     "datasets": 1859,
     "design": 1036,
     "designfile": 1140,
-    "evaluation": 1298,
+    "evaluation": 1297,
     "exposure": 1041,
     "jobs": 1189,
     "lab": 3140,
