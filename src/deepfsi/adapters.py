@@ -56,7 +56,7 @@ def to_linear_operator(design: Design, photons: float | None = None) -> LinearOp
     >>> few = deepfsi.Training(epochs=1)
     >>> design = deepfsi.learn("digits", photons=1e4, masks=6, design="pca", training=few)
     >>> to_linear_operator(design).shape
-    (12, 64)
+    (6, 64)
     """
     return aslinearoperator(_sensing_matrix(design, photons).double().cpu().numpy())
 

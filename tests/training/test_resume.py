@@ -101,8 +101,10 @@ def test_designs_of_two_seeds_side_by_side_are_resumed(
 
 def test_trainings_that_leave_folds_out_are_resumed(digits, writes, path, monkeypatch):
     """Eleven trainings: the sixth and the last are stopped, too."""
-    budgets = "deepfsi.training.characterisation.calibration_budgets"
-    monkeypatch.setattr(budgets, lambda photons, _: photons * np.array([1, 10]))
+    from deepfsi.training import characterisation  # by its path it is not found once left out
+
+    few_budgets = lambda photons, _: photons * np.array([1, 10])  # noqa: E731
+    monkeypatch.setattr(characterisation, "calibration_budgets", few_budgets)
     few = replace(digits, x_train=digits.x_train[:40], y_train=digits.y_train[:40])
     given = settings({"epochs": 1})
     check_law(lambda path: [learn(few, checkpoint=path, **given)], writes, path)
