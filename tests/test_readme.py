@@ -66,7 +66,7 @@ def test_python(block, tmp_path, monkeypatch):
 def test_readme_is_short_and_names_the_commands_that_do_all_the_set_up():
     """For whom, on which system, how to cite, and how much processor time `make` takes."""
     make = re.sub(r"\\\n\s*", "", (ROOT / "Makefile").read_text())
-    for target, minutes in (("run", 7), ("test", 20)):
+    for target, minutes in (("run", 7), ("test", 15)):
         said = f"^make {target} +# {minutes} minutes of processor time"
         assert re.search(said, README, re.MULTILINE)
         assert re.search(rf"^{target}\b.*:", make, re.MULTILINE)
